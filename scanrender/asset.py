@@ -1,0 +1,240 @@
+"""Asset: what a prepared scan is. The only thing that scan preparation and rendering share.
+
+On disk an asset is one folder that other tools read too:
+
+    mesh.glb             indexed triangles, normals, tangents, UV0; millimetres under a root node of
+                         scale 0.001 (glTF is in metres); right-handed, +Y up, the subject faces +Z
+    albedo.png           sRGB, 8 bit                      normal_ts.png   tangent space, +Y, 16 bit
+    normal_geometry.exr  object space, no detail map      curvature.exr   mean curvature, 1/mm
+    ao.exr               ambient visibility in [0, 1]     thickness_mm.exr
+    skin.exr             probability of skin in [0, 1]    asset.json      `info`, see below
+
+UV origin is glTF's: (0, 0) is the top left corner of the first texel row.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from scanrender import __version__, images
+from scanrender.errors import ScanError, UsageError
+from scanrender.files import atomic_folder, write_json
+
+FloatArray = npt.NDArray[np.float32]
+FORMAT_VERSION = 1
+METRES_PER_MM = 0.001
+
+
+@dataclass(frozen=True)
+class MapFormat:
+    """How one map is stored: file name, number of channels, and what the numbers mean."""
+
+    file: str
+    channels: int
+    unit: str
+
+
+MAPS: Mapping[str, MapFormat] = {
+    "albedo": MapFormat("albedo.png", 3, "lin_rec709_scene in memory, sRGB on disk"),
+    "normal_ts": MapFormat("normal_ts.png", 3, "unit vector, MikkTSpace, +Y; (n+1)/2 on disk"),
+    "normal_geometry": MapFormat("normal_geometry.exr", 3, "unit vector, object space"),
+    "curvature": MapFormat("curvature.exr", 1, "mean curvature in 1/mm, convex positive"),
+    "ao": MapFormat("ao.exr", 1, "ambient visibility, 0 to 1"),
+    "thickness_mm": MapFormat("thickness_mm.exr", 1, "mm along the inward normal"),
+    "skin": MapFormat("skin.exr", 1, "probability of skin, 0 to 1"),
+}
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles ready to draw.
+
+    positions_mm (n, 3) float32; normals (n, 3) unit *geometry* normals; tangents (n, 4) with the
+    bitangent's sign in w; uv (n, 2); faces (m, 3) uint32, counter-clockwise seen from outside.
+    """
+
+    positions_mm: FloatArray
+    normals: FloatArray
+    tangents: FloatArray
+    uv: FloatArray
+    faces: npt.NDArray[np.uint32]
+
+    @property
+    def bounds_mm(self) -> tuple[FloatArray, FloatArray]:
+        return self.positions_mm.min(axis=0), self.positions_mm.max(axis=0)
+
+
+@dataclass(frozen=True)
+class Asset:
+    """A prepared scan. `maps[name]` is (h, w, channels) float32 in the units of `MAPS`.
+
+    `info` is plain JSON data: `source` (file, hash), `units` (mm_per_unit, reason, confidence),
+    `raw_from_asset` (4x4, float64 as nested lists), `counts`, `stages` (name, seconds, notes),
+    `lost` (errors against the raw scan), `warnings` (sentences).
+    """
+
+    mesh: Mesh
+    maps: Mapping[str, images.Image]
+    info: Mapping[str, Any] = field(default_factory=dict)
+
+
+def save_asset(asset: Asset, folder: Path | str) -> Path:
+    """Write the asset folder complete or not at all. Raises OutputError."""
+    folder = Path(folder)
+    with atomic_folder(folder) as temporary:
+        for name, pixels in asset.maps.items():
+            _write_map(temporary, name, pixels)
+        _write_glb(temporary / "mesh.glb", asset)
+        document = {"format": FORMAT_VERSION, "scanrender": __version__, **asset.info}
+        document["maps"] = {name: MAPS[name].file for name in asset.maps}
+        write_json(temporary / "asset.json", document)
+    return folder
+
+
+def load_asset(folder: Path | str, maps: Collection[str] | None = None) -> Asset:
+    """Read an asset folder, with all its maps or only those named in `maps`.
+
+    Raises UsageError when the folder is not there, ScanError when it is not a usable asset.
+    """
+    folder = Path(folder)
+    if not folder.exists():
+        raise UsageError(f"no such asset: {folder}", fix="make one: scanrender prep SCAN --out …")
+    description = folder / "asset.json"
+    try:
+        info = json.loads(description.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ScanError(
+            f"{folder} is not an asset folder: {error}", str(description), "run: scanrender prep"
+        ) from error
+    if info.get("format") != FORMAT_VERSION:
+        raise ScanError(
+            f"asset format {info.get('format')} is not {FORMAT_VERSION}",
+            str(description),
+            "prepare the scan again: scanrender prep",
+        )
+    wanted = [name for name in info["maps"] if maps is None or name in maps]
+    return Asset(
+        mesh=_read_glb(folder / "mesh.glb"),
+        maps={name: _read_map(folder, name) for name in wanted},
+        info=info,
+    )
+
+
+def _write_map(folder: Path, name: str, pixels: images.Image) -> None:
+    path = folder / MAPS[name].file
+    if name == "albedo":
+        images.write_srgb_png(path, pixels)
+    elif name == "normal_ts":
+        encoded = np.clip(pixels * 0.5 + 0.5, 0.0, 1.0) * 65535.0 + 0.5
+        images.write_image(path, encoded.astype(np.uint16))
+    else:
+        channels = ("X", "Y", "Z") if MAPS[name].channels == 3 else ("Y",)
+        images.write_image(
+            path,
+            pixels.astype(np.float32),
+            channels=channels,
+            attributes={"compression": "zip", "DateTime": "1970:01:01 00:00:00"},
+        )
+
+
+def _read_map(folder: Path, name: str) -> images.Image:
+    pixels = images.read_image(folder / MAPS[name].file)[:, :, : MAPS[name].channels]
+    if name == "albedo":
+        return images.linear_from_srgb(pixels).astype(np.float32)
+    if name == "normal_ts":
+        vector = pixels * 2.0 - 1.0
+        length = np.linalg.norm(vector, axis=2, keepdims=True)
+        return np.asarray(vector / np.maximum(length, 1e-6), dtype=np.float32)
+    return pixels
+
+
+def _write_glb(path: Path, asset: Asset) -> None:
+    import pygltflib as gltf
+
+    mesh = asset.mesh
+    low, high = mesh.bounds_mm
+    arrays = [
+        (mesh.positions_mm, gltf.VEC3, gltf.FLOAT, gltf.ARRAY_BUFFER),
+        (mesh.normals, gltf.VEC3, gltf.FLOAT, gltf.ARRAY_BUFFER),
+        (mesh.tangents, gltf.VEC4, gltf.FLOAT, gltf.ARRAY_BUFFER),
+        (mesh.uv, gltf.VEC2, gltf.FLOAT, gltf.ARRAY_BUFFER),
+        (mesh.faces.reshape(-1), gltf.SCALAR, gltf.UNSIGNED_INT, gltf.ELEMENT_ARRAY_BUFFER),
+    ]
+    document = gltf.GLTF2(asset=gltf.Asset(version="2.0", generator=f"scanrender {__version__}"))
+    blob = b""
+    for index, (array, kind, component, target) in enumerate(arrays):
+        dtype = np.uint32 if component == gltf.UNSIGNED_INT else np.float32
+        data = np.ascontiguousarray(array, dtype=dtype).tobytes()
+        document.bufferViews.append(
+            gltf.BufferView(buffer=0, byteOffset=len(blob), byteLength=len(data), target=target)
+        )
+        document.accessors.append(
+            gltf.Accessor(
+                bufferView=index, componentType=component, count=len(array), type=kind
+            )
+        )
+        blob += data
+    document.accessors[0].min, document.accessors[0].max = low.tolist(), high.tolist()
+    document.buffers = [gltf.Buffer(byteLength=len(blob))]
+    material = _gltf_material(gltf, document, asset.maps)
+    attributes = gltf.Attributes(POSITION=0, NORMAL=1, TANGENT=2, TEXCOORD_0=3)
+    primitive = gltf.Primitive(attributes=attributes, indices=4, material=material)
+    document.meshes = [gltf.Mesh(primitives=[primitive], name="skin")]
+    document.nodes = [gltf.Node(name="root_mm", scale=[METRES_PER_MM] * 3, mesh=0)]
+    document.scenes = [gltf.Scene(nodes=[0])]
+    document.scene = 0
+    document.set_binary_blob(blob)
+    document.save_binary(str(path))
+
+
+def _gltf_material(gltf: Any, document: Any, maps: Mapping[str, images.Image]) -> int:
+    """Reference albedo and normal by file name, so that the folder opens textured elsewhere."""
+    document.samplers = [gltf.Sampler(magFilter=9729, minFilter=9987, wrapS=33071, wrapT=33071)]
+    index = {}
+    for name in ("albedo", "normal_ts"):
+        if name in maps:
+            document.images.append(gltf.Image(uri=MAPS[name].file))
+            document.textures.append(gltf.Texture(source=len(document.images) - 1, sampler=0))
+            index[name] = len(document.textures) - 1
+    # 0.45 is the GGX roughness that looks closest to our two Beckmann lobes in other viewers.
+    pbr = gltf.PbrMetallicRoughness(metallicFactor=0.0, roughnessFactor=0.45)
+    material = gltf.Material(name="skin", pbrMetallicRoughness=pbr)
+    if "albedo" in index:
+        pbr.baseColorTexture = gltf.TextureInfo(index=index["albedo"])
+    if "normal_ts" in index:
+        material.normalTexture = gltf.NormalMaterialTexture(index=index["normal_ts"])
+    document.materials = [material]
+    return 0
+
+
+def _read_glb(path: Path) -> Mesh:
+    import pygltflib as gltf
+
+    try:
+        document = gltf.GLTF2.load_binary(str(path))
+        primitive = document.meshes[0].primitives[0]
+        blob = document.binary_blob()
+    except Exception as error:  # pygltflib raises whatever its parser met
+        raise ScanError(f"cannot read {path}: {error}", str(path), "prepare it again") from error
+
+    def array(index: int, dtype: Any, width: int) -> npt.NDArray[Any]:
+        accessor = document.accessors[index]
+        view = document.bufferViews[accessor.bufferView]
+        flat = np.frombuffer(blob, dtype, accessor.count * width, view.byteOffset or 0)
+        return flat.reshape(-1, width).copy()
+
+    attributes = primitive.attributes
+    return Mesh(
+        positions_mm=array(attributes.POSITION, np.float32, 3),
+        normals=array(attributes.NORMAL, np.float32, 3),
+        tangents=array(attributes.TANGENT, np.float32, 4),
+        uv=array(attributes.TEXCOORD_0, np.float32, 2),
+        faces=array(primitive.indices, np.uint32, 1).reshape(-1, 3),
+    )

@@ -1,0 +1,107 @@
+"""Reading and writing pixels through OpenImageIO, with errors raised instead of returned.
+
+Arrays are (height, width, channels) float32, top row first, unless a docstring says otherwise.
+OpenImageIO reports failure by return values and `geterror()`; every call is checked here, once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import OpenImageIO as oiio
+
+from scanrender.errors import OutputError, ScanError
+from scanrender.files import atomic_path
+
+Image = npt.NDArray[np.float32]
+
+# Refuse an image whose decoded size would take the machine's memory (an "image bomb"), before
+# decoding it. 32768^2 is twice the largest atlas that photogrammetry tools export (16 K).
+MAX_PIXELS = 32768 * 32768
+
+
+def srgb_from_linear(linear: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Encode linear values in [0, 1] with the sRGB transfer curve (IEC 61966-2-1)."""
+    clipped = np.clip(linear, 0.0, 1.0)
+    high = 1.055 * np.power(np.maximum(clipped, 0.0031308), 1 / 2.4) - 0.055
+    return np.where(clipped <= 0.0031308, 12.92 * clipped, high)
+
+
+def linear_from_srgb(encoded: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Decode sRGB values in [0, 1] to linear Rec.709 (IEC 61966-2-1)."""
+    clipped = np.clip(encoded, 0.0, 1.0)
+    high = np.power((np.maximum(clipped, 0.04045) + 0.055) / 1.055, 2.4)
+    return np.where(clipped <= 0.04045, clipped / 12.92, high)
+
+
+def read_image(path: Path | str) -> Image:
+    """All channels of the first subimage, as stored (no colour conversion), integers scaled to [0, 1].
+
+    Raises ScanError when the file is absent, unreadable, or too large to decode.
+    """
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        raise ScanError(f"cannot read image {path}: {oiio.geterror()}", where=str(path))
+    try:
+        spec = source.spec()
+        if spec.width * spec.height > MAX_PIXELS:
+            raise ScanError(f"image {path} is {spec.width} x {spec.height}", where=str(path))
+        pixels = source.read_image(0, 0, 0, spec.nchannels, oiio.FLOAT)
+        if pixels is None:
+            raise ScanError(f"cannot decode image {path}: {source.geterror()}", where=str(path))
+    finally:
+        source.close()
+    return np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, spec.nchannels)
+
+
+def write_image(
+    path: Path | str,
+    pixels: npt.NDArray[Any],
+    *,
+    channels: Sequence[str] | None = None,
+    attributes: Mapping[str, Any] | None = None,
+) -> Path:
+    """Write (h, w, c) `pixels` with their own dtype (uint8, uint16, float16, float32), atomically."""
+    if pixels.ndim == 2:
+        pixels = pixels[:, :, None]
+    # OpenImageIO used to take wrong strides from non-contiguous arrays (OpenImageIO#4843).
+    pixels = np.ascontiguousarray(pixels)
+    height, width, count = pixels.shape
+    spec = oiio.ImageSpec(width, height, count, oiio.TypeDesc(_OIIO_TYPES[pixels.dtype.name]))
+    if channels is not None:
+        spec.channelnames = tuple(channels)
+    for name, value in (attributes or {}).items():
+        spec.attribute(name, value)
+    with atomic_path(path) as temporary:
+        target = oiio.ImageOutput.create(str(temporary))
+        if target is None:
+            raise OutputError(f"cannot write image {path}: {oiio.geterror()}", where=str(path))
+        written = target.open(str(temporary), spec) and target.write_image(pixels)
+        error = target.geterror() if not written else ""
+        if not (target.close() and written):
+            raise OutputError(f"cannot write image {path}: {error}", where=str(path))
+    return Path(path)
+
+
+def write_srgb_png(path: Path | str, linear: npt.NDArray[Any]) -> Path:
+    """Write linear Rec.709 (h, w, 3) as an 8-bit sRGB PNG."""
+    return write_png8(path, srgb_from_linear(linear))
+
+
+def write_png8(path: Path | str, encoded: npt.NDArray[Any]) -> Path:
+    """Write already encoded values in [0, 1] as an 8-bit PNG."""
+    levels = np.clip(np.nan_to_num(encoded), 0.0, 1.0) * 255.0 + 0.5
+    return write_image(path, levels.astype(np.uint8), attributes={"png:compressionLevel": 4})
+
+
+_OIIO_TYPES = {
+    "uint8": "uint8",
+    "uint16": "uint16",
+    "uint32": "uint32",
+    "float16": "half",
+    "float32": "float",
+}

@@ -1,0 +1,265 @@
+"""YAML 1.2 in, `Pipeline` out: extends, overrides, and errors that name file, key and line.
+
+Nothing in a file can execute code or fetch anything: ruamel's round-trip loader builds plain data,
+and unknown tags are refused.
+"""
+
+from __future__ import annotations
+
+import difflib
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap, CommentedSeq, TaggedScalar
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+from scanrender.errors import ConfigError, UsageError
+from scanrender.resources import shipped_pipelines, shipped_presets
+from scanrender.settings.pipeline import Pipeline
+
+Key = tuple[str | int, ...]
+MAX_EXTENDS_DEPTH = 8
+MAX_FILE_BYTES = 4_000_000
+
+
+@dataclass(frozen=True)
+class _Layer:
+    """One file's plain data, and where each of its keys stands (`file:line`)."""
+
+    data: dict[str, Any]
+    places: dict[Key, str]
+
+
+def load_pipeline(source: str | Path, overrides: Sequence[str] = ()) -> Pipeline:
+    """Read a pipeline file or a shipped pipeline's name, then apply `a.b=c` overrides.
+
+    Raises UsageError when the file is not there, ConfigError for anything wrong in it.
+    """
+    path = find_pipeline(source)
+    layer = _read_with_extends(path, ())
+    for text in overrides:
+        _apply_override(layer, text)
+    return _validate(layer, str(path))
+
+
+def find_pipeline(source: str | Path) -> Path:
+    path = Path(source)
+    if path.is_file():
+        return path
+    shipped = shipped_pipelines()
+    name = str(source).removeprefix("pipelines/").removesuffix(".yaml")
+    if name in shipped:
+        return shipped[name]
+    hint = difflib.get_close_matches(name, shipped, 1)
+    known = f"did you mean {hint[0]!r}?" if hint else f"shipped pipelines: {', '.join(shipped)}"
+    raise UsageError(f"no such pipeline: {source}", fix=known)
+
+
+def resolved_yaml(pipeline: Pipeline) -> str:
+    """The pipeline with every default written out: what is saved beside a result."""
+    stream = io.StringIO()
+    yaml = YAML(typ="safe", pure=True)
+    yaml.default_flow_style = False
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    yaml.dump(pipeline.model_dump(mode="json"), stream)
+    return stream.getvalue()
+
+
+def _read_with_extends(path: Path, seen: tuple[Path, ...]) -> _Layer:
+    path = path.resolve()
+    if path in seen or len(seen) > MAX_EXTENDS_DEPTH:
+        chain = " extends ".join(p.name for p in (*seen, path))
+        raise ConfigError(f"files extend each other in a circle: {chain}", where=str(path))
+    own = _read_file(path)
+    bases = own.data.pop("extends", [])
+    merged = _Layer({}, {})
+    for base in [bases] if isinstance(bases, str) else bases:
+        where = own.places.get(("extends",), str(path))
+        _merge(merged, _read_with_extends(_find_base(str(base), path, where), (*seen, path)))
+    _merge(merged, own)
+    return merged
+
+
+def _find_base(name: str, beside: Path, where: str) -> Path:
+    for candidate in (beside.parent / name, beside.parent / f"{name}.yaml"):
+        if candidate.is_file():
+            return candidate
+    shipped = {**shipped_pipelines(), **shipped_presets()}
+    key = name.removesuffix(".yaml")
+    if key in shipped:
+        return shipped[key]
+    hint = difflib.get_close_matches(key, shipped, 1)
+    fix = f"did you mean {hint[0]!r}?" if hint else f"presets: {', '.join(shipped)}"
+    raise ConfigError(f"extends names {name!r}, which is no file and no preset", where, fix)
+
+
+def _read_file(path: Path) -> _Layer:
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise ConfigError("this is far too large for a pipeline file", where=str(path))
+        document = YAML(typ="rt", pure=True).load(path.read_text(encoding="utf-8"))
+    except MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        problem = str(error.problem or error.context).split("\n")[0]
+        raise ConfigError(f"not valid YAML: {problem}", where=f"{path}:{line}") from error
+    except (YAMLError, UnicodeDecodeError, RecursionError) as error:
+        raise ConfigError(f"not valid YAML: {error}", where=str(path)) from error
+    except OSError as error:
+        raise ConfigError(f"cannot read it: {error.strerror}", where=str(path)) from error
+    if document is None:
+        document = CommentedMap()
+    if not isinstance(document, CommentedMap):
+        raise ConfigError("a pipeline file is a mapping of sections", where=f"{path}:1")
+    places: dict[Key, str] = {}
+    data = _plain(document, (), path, places)
+    return _Layer(data, places)
+
+
+def _plain(node: Any, key: Key, path: Path, places: dict[Key, str]) -> Any:
+    """Plain Python data from ruamel's, recording where each key stands."""
+    if isinstance(node, TaggedScalar) or getattr(node, "tag", None) is not None:
+        tag = getattr(getattr(node, "tag", None), "value", None)
+        if tag is not None and not str(tag).startswith("tag:yaml.org,2002:"):
+            raise ConfigError(f"YAML tag {tag} is not allowed", where=places.get(key, str(path)))
+    if isinstance(node, CommentedMap):
+        result = {}
+        for name, value in node.items():
+            if not isinstance(name, str):
+                raise ConfigError(f"keys are words, not {name!r}", where=f"{path}:{node.lc.line+1}")
+            places[(*key, name)] = f"{path}:{node.lc.key(name)[0] + 1}"
+            result[name] = _plain(value, (*key, name), path, places)
+        return result
+    if isinstance(node, CommentedSeq):
+        for index in range(len(node)):
+            places[(*key, index)] = f"{path}:{node.lc.item(index)[0] + 1}"
+        return [_plain(value, (*key, i), path, places) for i, value in enumerate(node)]
+    if isinstance(node, bool) or node is None:
+        return node
+    for kind in (int, float, str):
+        if isinstance(node, kind):
+            return kind(node)
+    return node
+
+
+def _merge(under: _Layer, over: _Layer) -> None:
+    """Mappings merge key by key; everything else (lists too) replaces."""
+
+    def merge(base: dict[str, Any], top: Mapping[str, Any]) -> None:
+        for name, value in top.items():
+            if isinstance(value, dict) and isinstance(base.get(name), dict):
+                merge(base[name], value)
+            else:
+                base[name] = value
+
+    merge(under.data, over.data)
+    under.places.update(over.places)
+
+
+def _apply_override(layer: _Layer, text: str) -> None:
+    name, equals, value_text = text.partition("=")
+    place = f"--set {text}"
+    if not equals or not name.strip():
+        raise UsageError(f"--set needs KEY=VALUE, not {text!r}", fix="e.g. --set camera.fill=0.8")
+    try:
+        value = YAML(typ="safe", pure=True).load(value_text)
+    except YAMLError as error:
+        raise ConfigError(f"the value is not valid YAML: {value_text!r}", where=place) from error
+    parts: list[str | int] = [int(p) if p.isdigit() else p for p in name.strip().split(".")]
+    if parts[0] == "lights" and "lights" not in layer.data:
+        default = Pipeline().model_dump(mode="json")["lights"]
+        layer.data["lights"] = default
+    target: Any = layer.data
+    for part in parts[:-1]:
+        target = _step(target, part, place)
+    if isinstance(target, list):
+        _step(target, parts[-1], place)
+    target[parts[-1]] = value
+    for depth in range(1, len(parts) + 1):
+        layer.places[tuple(parts[:depth])] = place
+
+
+def _step(target: Any, part: str | int, place: str) -> Any:
+    if isinstance(target, list):
+        if not isinstance(part, int) or part >= len(target):
+            raise ConfigError(f"there is no item {part!r} in a list of {len(target)}", where=place)
+        return target[part]
+    if not isinstance(target.setdefault(part, {}), dict | list):
+        target[part] = {}
+    return target[part]
+
+
+def _validate(layer: _Layer, source: str) -> Pipeline:
+    try:
+        return Pipeline.model_validate(layer.data)
+    except ValidationError as error:
+        raise _explain(error.errors(include_url=False)[0], layer, source) from error
+
+
+def _explain(problem: Any, layer: _Layer, source: str) -> ConfigError:
+    """Turn pydantic's first complaint into what, where, what to do."""
+    # Union branches (`scan.units`, light types) put their own names into the location: keep only
+    # what really stands in the file.
+    key = _real_key(problem["loc"], layer.data)
+    dotted = ".".join(str(part) for part in key)
+    where = next(
+        (layer.places[key[:n]] for n in range(len(key), 0, -1) if key[:n] in layer.places), source
+    )
+    if problem["type"] == "extra_forbidden":
+        known = _fields_at(key[:-1], layer.data)
+        hint = difflib.get_close_matches(str(key[-1]), known, 1)
+        fix = f"did you mean {hint[0]!r}?" if hint else f"known here: {', '.join(known)}"
+        return ConfigError(f"unknown key {dotted!r}", where, fix)
+    message = str(problem["msg"]).removeprefix("Value error, ")
+    given = problem.get("input")
+    shown = f" (given: {given!r})" if isinstance(given, int | float | str | bool) else ""
+    return ConfigError(
+        f"{dotted or 'the file'}: {message[:1].lower() + message[1:]}{shown}",
+        where,
+        "see `scanrender schema` or docs/settings.md for units and ranges",
+    )
+
+
+def _real_key(location: Sequence[str | int], data: Any) -> Key:
+    key: list[str | int] = []
+    for part in location:
+        if isinstance(data, dict) and part in data:
+            data = data[part]
+        elif isinstance(data, list) and isinstance(part, int) and part < len(data):
+            data = data[part]
+        else:
+            continue
+        key.append(part)
+    missing = location[-1] if location else None
+    if isinstance(missing, str) and isinstance(data, dict) and missing not in key:
+        key.append(missing)
+    return tuple(key)
+
+
+def _fields_at(key: Key, data: Any) -> list[str]:
+    model: Any = Pipeline
+    for part in key:
+        data = data[part] if isinstance(data, dict | list) else {}
+        model = _model_of(model, part, data)
+    return [*model.model_fields, *(["extends"] if not key else [])]
+
+
+def _model_of(model: Any, part: str | int, data: Any) -> Any:
+    """The section model under `part`; a list item is chosen by its `type`."""
+    if isinstance(part, int):
+        kind = data.get("type") if isinstance(data, dict) else None
+        fits = [m for m in model if m.model_fields.get("type", None) is None
+                or kind in get_args(m.model_fields["type"].annotation)]
+        return (fits or model)[0]
+    models = _models_in(model.model_fields[part].annotation)
+    return models if isinstance(data, list) else models[0]
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [found for arg in get_args(annotation) for found in _models_in(arg)]

@@ -1,0 +1,109 @@
+"""`prep:` how a raw scan becomes an asset."""
+
+from __future__ import annotations
+
+from scanrender.settings.base import Section, setting
+
+
+class CleanSettings(Section):
+    """Removal of what a scanner adds and a person does not have."""
+
+    floater_fraction: float = setting(
+        0.01,
+        "Loose pieces with a smaller share of the largest piece's area are removed.",
+        unit="1",
+        ge=0,
+        le=1,
+    )
+    hole_mm: float = setting(
+        12.0,
+        "Holes whose boundary fits in a circle of this diameter are filled; larger ones stay.",
+        unit="mm",
+        ge=0,
+        le=200,
+    )
+    spike_sigma: float = setting(
+        6.0,
+        "A vertex further from its neighbours' mean than this many local deviations is a spike.",
+        unit="1",
+        ge=2,
+        le=100,
+    )
+
+
+class SimplifySettings(Section):
+    """Fewer triangles, within a budget and an error bound: whichever stops first."""
+
+    triangles: int = setting(
+        50_000, "Budget: at most this many triangles.", unit="triangles", ge=100, le=20_000_000
+    )
+    error_mm: float = setting(
+        0.2,
+        "Warn when the 99 % distance to the raw surface is larger than this.",
+        unit="mm",
+        ge=0.001,
+        le=100,
+    )
+
+
+class UnwrapSettings(Section):
+    """Texture coordinates for the simplified mesh."""
+
+    padding_px: int = setting(
+        4, "Gap between charts, measured in texels of the albedo map.", unit="px", ge=1, le=64
+    )
+    timeout_s: float = setting(
+        120.0,
+        "The unwrapper cannot be interrupted: past this it is killed and a fallback is used.",
+        unit="s",
+        ge=1,
+        le=3600,
+    )
+
+
+class BakeSettings(Section):
+    """Maps made from the raw scan, each at its own size."""
+
+    albedo_px: int = setting(2048, "Side of the albedo map.", unit="px", ge=16, le=8192)
+    normal_px: int = setting(2048, "Side of the normal map.", unit="px", ge=16, le=8192)
+    data_px: int = setting(
+        1024,
+        "Side of the curvature, ambient occlusion, thickness and skin maps.",
+        unit="px",
+        ge=16,
+        le=8192,
+    )
+    footprint_mm: float = setting(
+        0.3,
+        "Raw normals are averaged over this radius, so that scanner noise does not sparkle.",
+        unit="mm",
+        ge=0,
+        le=10,
+    )
+    curvature_smooth_mm: float = setting(
+        2.0, "Radius over which the curvature is smoothed on the surface.", unit="mm", ge=0, le=50
+    )
+    ao_rays: int = setting(64, "Rays per vertex for ambient occlusion.", unit="rays", ge=4, le=4096)
+    ao_distance_mm: float = setting(
+        80.0, "Surfaces further than this do not occlude.", unit="mm", ge=0.1, le=10_000
+    )
+    thickness_rays: int = setting(
+        16, "Rays per vertex for thickness.", unit="rays", ge=1, le=1024
+    )
+    default_albedo: tuple[float, float, float] = setting(
+        (0.55, 0.34, 0.25),
+        "Albedo of a scan that has no colour at all (linear Rec.709).",
+        unit="1",
+    )
+
+
+class PrepSettings(Section):
+    """Preparation of one scan."""
+
+    clean: CleanSettings = CleanSettings()
+    simplify: SimplifySettings = SimplifySettings()
+    unwrap: UnwrapSettings = UnwrapSettings()
+    bake: BakeSettings = BakeSettings()
+    timeout_s: float = setting(
+        900.0, "A preparation stage that takes longer is stopped.", unit="s", ge=1, le=86_400
+    )

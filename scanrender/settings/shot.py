@@ -1,0 +1,69 @@
+"""`camera:`, `turntable:`, `quality:` and `view:`: how the subject is looked at."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from scanrender.settings.base import Rgb, Section, setting
+
+
+class CameraSettings(Section):
+    """A perspective camera that frames the whole subject."""
+
+    width_px: int = setting(720, "Width of the picture.", unit="px", ge=1, le=16384)
+    height_px: int = setting(720, "Height of the picture.", unit="px", ge=1, le=16384)
+    focal_mm: float = setting(
+        85.0, "Focal length on a 24 mm high sensor; 85 is a portrait lens.", unit="mm", ge=2, le=2000
+    )
+    fill: float = setting(
+        0.92,
+        "Share of the picture's smaller side that the subject fills, whichever way it is turned.",
+        unit="1",
+        ge=0.01,
+        le=50,
+    )
+    azimuth_deg: float = setting(
+        0.0, "Where the camera stands, around the subject.", unit="deg", ge=-360, le=360
+    )
+    elevation_deg: float = setting(
+        4.0, "Where the camera stands, above the horizon.", unit="deg", ge=-89, le=89
+    )
+    look_up_mm: float = setting(
+        0.0, "Moves the point looked at up from the subject's centre.", unit="mm", ge=-1e6, le=1e6
+    )
+
+
+class TurntableSettings(Section):
+    """One full turn, or part of one."""
+
+    frames: int = setting(96, "Number of pictures.", unit="frames", ge=1, le=100_000)
+    fps: float = setting(24.0, "Pictures a second in the video.", unit="1/s", ge=1, le=240)
+    mode: Literal["subject", "camera"] = setting(
+        "subject",
+        "What turns: the subject under fixed lights, or the camera around a fixed scene.",
+        unit="",
+    )
+    start_deg: float = setting(0.0, "Angle of frame 0.", unit="deg", ge=-360, le=360)
+    degrees: float = setting(360.0, "Angle turned in all.", unit="deg", ge=-3600, le=3600)
+
+
+class QualitySettings(Section):
+    """How much work a frame gets."""
+
+    supersampling: int = setting(
+        2, "Samples along each side of a pixel: 2 means 4 samples.", unit="1", ge=1, le=16
+    )
+
+
+class ViewSettings(Section):
+    """From scene-linear to the screen. Never touches the EXR."""
+
+    exposure_ev: float = setting(0.0, "Exposure in stops.", unit="EV", ge=-30, le=30)
+    transform: Literal["filmic", "neutral"] = setting(
+        "filmic",
+        "OpenColorIO view: `filmic` is the ACES SDR rendering, `neutral` is plain sRGB.",
+        unit="",
+    )
+    background: Rgb = setting(
+        (0.035, 0.037, 0.042), "Scene-linear colour behind the subject.", unit="1"
+    )
