@@ -1,0 +1,137 @@
+"""A contact sheet: many labelled pictures on one calm page, undated: equal runs are equal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from scanrender.errors import UsageError
+from scanrender.outputs.lettering import elided, wrapped, write
+from scanrender.outputs.png import bytes_from_unit, write_bytes_png
+
+Bytes = npt.NDArray[np.uint8]
+
+MIN_SHEET, MAX_SHEET = 960, 2880  # px: a readable header; a page that mail and wiki still take
+GROUND = (21, 22, 24)
+RULE = (52, 54, 58)
+INK = (236, 236, 234)
+LABEL = (186, 188, 192)
+FADED = (128, 130, 135)
+
+
+@dataclass(frozen=True)
+class Tile:
+    """One picture of the sheet: `pixels` (h, w, 3), display-encoded, float in [0, 1] or uint8."""
+
+    label: str
+    pixels: npt.NDArray[Any]
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Where things go, in px. `cell` (w, h) is a tile's room without its label."""
+
+    width: int
+    columns: int
+    margin: int
+    gap: int
+    cell: tuple[int, int]
+    body: int
+
+    @property
+    def row_height(self) -> int:
+        return self.cell[1] + round(self.body * 2.6) + self.gap // 2
+
+
+def contact_sheet(
+    path: Path | str,
+    tiles: Sequence[Tile],
+    *,
+    columns: int,
+    title: str,
+    subtitle: str = "",
+    footer: str = "",
+) -> Path:
+    """Write `tiles`, row by row in `columns`, under a header and above a footer, as PNG.
+
+    Tiles are shown at their own size if the page stays within 2880 px, else reduced alike; small
+    pictures are enlarged only by whole factors. `title` is the scan, `subtitle` the pipeline,
+    `footer` what made it (renderer string, version). Raises UsageError without tiles or columns,
+    OutputError when the file cannot be written.
+    """
+    return write_bytes_png(path, sheet_pixels(tiles, columns, title, subtitle, footer))
+
+
+def sheet_pixels(
+    tiles: Sequence[Tile], columns: int, title: str, subtitle: str, footer: str
+) -> Bytes:
+    """What `contact_sheet` writes, (H, W, 3) uint8."""
+    if not tiles or columns < 1:
+        raise UsageError("a contact sheet needs at least one tile and one column")
+    grid = _layout(tiles, min(columns, len(tiles)))
+    inner = grid.width - 2 * grid.margin
+    body, big, medium, small = (round(grid.body * size) for size in (1.0, 2.1, 1.1, 0.92))
+    header = round(body * 5.6 if subtitle else body * 4.0)
+    notes = wrapped(footer, small, inner)
+    rows = -(-len(tiles) // grid.columns)
+    foot = (round(body * 1.2) + round(body * 1.35) * len(notes)) if notes else 0
+    height = 2 * grid.margin + header + rows * grid.row_height + foot
+
+    sheet = Image.new("RGB", (grid.width, height), GROUND)
+    write(sheet, (grid.margin, grid.margin), elided(title, big, inner), INK, big)
+    below = (grid.margin, grid.margin + round(body * 2.9))
+    write(sheet, below, elided(subtitle, medium, inner), FADED, medium)
+    for index, tile in enumerate(tiles):
+        row, column = divmod(index, grid.columns)
+        left = grid.margin + column * (grid.cell[0] + grid.gap)
+        top = grid.margin + header + row * grid.row_height
+        _place(sheet, tile, (left, top), grid)
+    if notes:
+        top = height - grid.margin - foot
+        sheet.paste(RULE, (grid.margin, top, grid.width - grid.margin, top + max(1, body // 12)))
+        for row, words in enumerate(notes):
+            at = (grid.margin, top + round(body * 1.2) + row * round(body * 1.35))
+            write(sheet, at, words, FADED, small)
+    return np.array(sheet)
+
+
+def _layout(tiles: Sequence[Tile], columns: int) -> _Grid:
+    """Measures that follow the page width: margins 3 %, gaps 1 %, text 1/95 (at least 12 px)."""
+    widest = max(tile.pixels.shape[1] for tile in tiles)
+    gap_share = min(0.01, 0.12 / columns)
+    wanted = columns * (widest + 1) / (0.94 - gap_share * (columns - 1))
+    page = min(max(math.ceil(wanted), MIN_SHEET), MAX_SHEET)
+    margin, gap = round(page * 0.03), int(page * gap_share)
+    room = max(1, (page - 2 * margin - gap * (columns - 1)) // columns)
+    # Whole multiples where there is room: pixels are shown as they are, not resampled by 1.02.
+    cell_width = room // widest * widest or room
+    width = max(MIN_SHEET, 2 * margin + columns * cell_width + gap * (columns - 1))
+    tallest = max(tile.pixels.shape[0] / tile.pixels.shape[1] for tile in tiles)
+    # A tall sliver among wide pictures must not stretch the page: twice the width is enough.
+    cell_height = max(1, round(cell_width * min(tallest, 2.0)))
+    return _Grid(width, columns, margin, gap, (cell_width, cell_height), max(12, round(width / 95)))
+
+
+def _place(sheet: Image.Image, tile: Tile, at: tuple[int, int], grid: _Grid) -> None:
+    """Fit the tile into its cell and write its label under it."""
+    pixels = tile.pixels if tile.pixels.dtype == np.uint8 else bytes_from_unit(tile.pixels)
+    picture = Image.fromarray(np.ascontiguousarray(pixels[:, :, :3]))
+    cell_width, cell_height = grid.cell
+    scale = min(cell_width / picture.width, cell_height / picture.height)
+    scale = float(int(scale)) if scale > 1.0 else scale
+    size = (max(1, round(picture.width * scale)), max(1, round(picture.height * scale)))
+    if size != picture.size:
+        # Enlarged pixels stay equal squares, so that nobody takes blur for the renderer's.
+        method = Image.Resampling.NEAREST if scale > 1.0 else Image.Resampling.LANCZOS
+        picture = picture.resize(size, method)
+    left, top = at
+    sheet.paste(picture, (left, top + cell_height - size[1]))  # on its label, whatever its shape
+    words = elided(tile.label, grid.body, cell_width)
+    write(sheet, (left, top + cell_height + round(grid.body * 0.6)), words, LABEL, grid.body)
