@@ -59,6 +59,9 @@ _SPECS = (
     _spec("shadow_0", "scalar", "light 0", "mm",
           "Distance of the first surface from light 0's near plane; N counts the lights.",
           "A smooth relief of the head as the light sees it; empty parts at the far value."),
+    _spec("visibility_0", "scalar", "surface", "1",
+          "Share of light 0 that reaches the surface past what casts shadows.",
+          "A clean stencil of the lit side with a soft edge; no stripes.", (0.0, 1.0)),
     _spec("position", "vector", "view", "mm",
           "Surface position; the camera is at the origin and looks along -Z.",
           "Smooth gradients without steps inside the head."),
@@ -134,7 +137,7 @@ _SPECS = (
 )
 
 CATALOGUE: Mapping[str, BufferSpec] = {spec.name: spec for spec in _SPECS}
-_NUMBERED = re.compile(r"^(shadow|gaussian)_\d+$")
+_NUMBERED = re.compile(r"^(shadow|visibility|gaussian)_\d+$")
 
 
 def buffer_spec(name: str) -> BufferSpec:

@@ -1,0 +1,119 @@
+"""Cameras: framing the subject, the guard band, and the matrices of one sample.
+
+Matrices are 4x4 float64, named `target_from_source`, for column vectors. World: millimetres, +Y up,
+the subject faces +Z, its centre at the origin. View: the camera looks along -Z. Clip: OpenGL's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from scanrender.settings.shot import CameraSettings
+
+Matrix = npt.NDArray[np.float64]
+SENSOR_HEIGHT_MM = 24.0
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A perspective camera around `target_mm`. `size_px` and `tan_half` exclude the guard band."""
+
+    size_px: tuple[int, int]
+    tan_half_height: float
+    azimuth_deg: float
+    elevation_deg: float
+    distance_mm: float
+    target_mm: npt.NDArray[np.float64]
+    near_mm: float
+    far_mm: float
+
+    @property
+    def view_from_world(self) -> Matrix:
+        turn = rotation_x(self.elevation_deg) @ rotation_y(-self.azimuth_deg)
+        move = np.eye(4)
+        move[:3, 3] = -self.target_mm
+        back = np.eye(4)
+        back[2, 3] = -self.distance_mm
+        return back @ turn @ move
+
+    def turned(self, degrees: float) -> Camera:
+        """The same camera, further around the subject."""
+        return replace(self, azimuth_deg=self.azimuth_deg + degrees)
+
+    def clip_from_view(self, guard_px: int = 0, jitter_px: tuple[float, float] = (0, 0)) -> Matrix:
+        """Projection with `guard_px` more pixels on each side, moved by a sub-pixel jitter.
+
+        Jitter is (right, down) of the sample inside its pixel, 0 at the centre.
+        """
+        width, height = self.size_px
+        tall, wide = height + 2 * guard_px, width + 2 * guard_px
+        p11 = 1.0 / (self.tan_half_height * tall / height)
+        near, far = self.near_mm, self.far_mm
+        matrix = np.zeros((4, 4))
+        matrix[0, 0] = p11 * tall / wide  # square pixels
+        matrix[1, 1] = p11
+        # A sample right of the pixel's centre sees what a picture moved left would show there.
+        matrix[0, 2] = 2.0 * jitter_px[0] / wide
+        matrix[1, 2] = -2.0 * jitter_px[1] / tall
+        matrix[2, 2] = -(far + near) / (far - near)
+        matrix[2, 3] = -2.0 * far * near / (far - near)
+        matrix[3, 2] = -1.0
+        return matrix
+
+    def px_per_mm(self, depth_mm: float) -> float:
+        """Pixels per millimetre at a depth: 0.5 H P11 / z, square pixels (DESIGN 4)."""
+        return 0.5 * self.size_px[1] / (self.tan_half_height * depth_mm)
+
+
+def frame_subject(
+    settings: CameraSettings,
+    positions_mm: npt.NDArray[np.floating],
+    turn_angles_deg: npt.NDArray[np.floating],
+) -> Camera:
+    """The nearest camera that keeps every vertex inside `fill` of the picture at every turn angle.
+
+    For a vertex at (x, y, z) in the camera's axes around the target, it fits when
+    |x| <= tan (D - z), so that the distance D is a plain maximum over vertices.
+    """
+    tan_height = 0.5 * SENSOR_HEIGHT_MM / settings.focal_mm
+    tan_width = tan_height * settings.width_px / settings.height_px
+    target = np.array([0.0, settings.look_up_mm, 0.0])
+    points = np.asarray(positions_mm, dtype=np.float64) - target
+    # Eight thousand vertices bound a head to a fraction of a pixel.
+    points = points[:: max(1, len(points) // 8000)]
+    radius = float(np.linalg.norm(points, axis=1).max(initial=1e-3))
+    distance = 0.0
+    for angle in np.unique(np.round(turn_angles_deg, 3)):
+        turn = rotation_x(settings.elevation_deg) @ rotation_y(angle - settings.azimuth_deg)
+        x, y, z = (points @ turn[:3, :3].T).T
+        reach = np.maximum(np.abs(x) / tan_width, np.abs(y) / tan_height) / settings.fill
+        distance = max(distance, float((z + reach).max()))
+    distance = max(distance, radius * 1.02) if settings.fill <= 1 else max(distance, radius * 0.05)
+    return Camera(
+        size_px=(settings.width_px, settings.height_px),
+        tan_half_height=tan_height,
+        azimuth_deg=settings.azimuth_deg,
+        elevation_deg=settings.elevation_deg,
+        distance_mm=distance,
+        target_mm=target,
+        near_mm=max(distance - 1.05 * radius, distance * 1e-3),
+        far_mm=distance + 1.05 * radius,
+    )
+
+
+def rotation_y(degrees: float) -> Matrix:
+    c, s = _cos_sin(degrees)
+    return np.array([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1.0]])
+
+
+def rotation_x(degrees: float) -> Matrix:
+    c, s = _cos_sin(degrees)
+    return np.array([[1, 0, 0, 0], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1.0]])
+
+
+def _cos_sin(degrees: float) -> tuple[float, float]:
+    angle = np.deg2rad(degrees)
+    return float(np.cos(angle)), float(np.sin(angle))

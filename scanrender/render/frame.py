@@ -1,0 +1,198 @@
+"""Camera + lights + plan -> a Frame: samples rendered, resolved, cropped, read back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import moderngl
+import numpy as np
+import numpy.typing as npt
+
+from scanrender.asset import Asset
+from scanrender.buffers import CATALOGUE, Frame, buffer_spec
+from scanrender.errors import StageError, UsageError
+from scanrender.render.camera import Camera, frame_subject
+from scanrender.render.device import Device, bind
+from scanrender.render.graph import Graph, TexturePool
+from scanrender.render.passes import all_passes
+from scanrender.render.plan import Decision, plan
+from scanrender.render.samples import sample_offsets_px
+from scanrender.render.scene import Scene, Shot
+from scanrender.settings.pipeline import Pipeline
+
+RESOLVED = ("beauty", "display")
+
+
+@dataclass(frozen=True)
+class View:
+    """Where frame `index` of a turntable stands: how far the subject and the camera are turned."""
+
+    index: int
+    subject_deg: float
+    camera_deg: float
+
+
+class Renderer:
+    """Renders frames of one asset. Keep one per process: it owns device textures."""
+
+    def __init__(self, device: Device, asset: Asset, pipeline: Pipeline) -> None:
+        self.device = device
+        self.pipeline, self.decisions = plan(pipeline)
+        self.scene = Scene(device, asset, self.pipeline)
+        self.graph = Graph(all_passes(self.scene))
+        self.pool = TexturePool(device)
+        self.camera = self._camera()
+        self.guard_px = self._guard_px()
+
+    @property
+    def buffer_names(self) -> list[str]:
+        """Every buffer that this scene can dump, in the catalogue's order."""
+        order = {name: i for i, name in enumerate(CATALOGUE)}
+        names = {*self.graph.names, "beauty"}
+        return sorted(names, key=lambda n: (order.get(buffer_spec(n).name, _family(n, order)), n))
+
+    def view(self, index: int) -> View:
+        """Frame `index` of the turntable. Positive turns show the subject's own left first."""
+        turntable = self.pipeline.turntable
+        angle = turntable.start_deg + turntable.degrees * index / turntable.frames
+        if turntable.mode == "subject":
+            return View(index, -angle, 0.0)
+        return View(index, 0.0, angle)
+
+    def render(
+        self,
+        view: View,
+        buffers: Collection[str] = (),
+        timings: dict[str, float] | None = None,
+    ) -> Frame:
+        """One frame: `display` and `beauty` always, other `buffers` of the pixel-centre sample.
+
+        Other buffers come from a sample of their own at the pixel's centre, since the mean of two
+        positions across a silhouette is the position of nothing; so the picture is the same
+        whatever is asked for beside it. Raises UsageError for a buffer that this scene does not
+        make, StageError when the picture holds non-finite pixels.
+        """
+        self._check_names(buffers)
+        beauty = self._beauty(view, timings)
+        shot = self._shot(view, (0.0, 0.0), 0)
+        tonemapped = self.graph.run(
+            self.device, self.pool, shot, {"display"}, {"beauty": beauty}, timings
+        )
+        pixels = {"beauty": self._read(beauty), "display": self._read(tonemapped["display"])}
+        self.pool.give_back(beauty)
+        self.pool.give_back(tonemapped["display"])
+        pixels.update(self._dump(shot, [n for n in buffers if n not in RESOLVED], timings))
+        alpha = np.ascontiguousarray(pixels["beauty"][:, :, 3])
+        self._check_finite(pixels["beauty"], view)
+        cropped = {name: _channels(name, array) for name, array in pixels.items()}
+        return Frame(cropped, alpha, self._info(view))
+
+    def _beauty(self, view: View, timings: dict[str, float] | None) -> moderngl.Texture:
+        offsets = sample_offsets_px(self.pipeline.quality.supersampling)
+        program = self.device.program("resolve")
+        beauty = self.pool.take(self._padded_size, 4)
+        target = self.pool.framebuffer([beauty], depth=False)
+        target.use()
+        target.clear()
+        for number, offset in enumerate(offsets):
+            shot = self._shot(view, offset, number)
+            made = self.graph.run(self.device, self.pool, shot, {"radiance"}, None, timings)
+            target.use()
+            self.device.context.enable(moderngl.BLEND)
+            self.device.context.blend_func = moderngl.ONE, moderngl.ONE
+            bind(program, {"radiance": made["radiance"], "weight": 1.0 / len(offsets)})
+            self.device.fill(program)
+            self.pool.give_back(made["radiance"])
+        return beauty
+
+    def _dump(
+        self, shot: Shot, names: Collection[str], timings: dict[str, float] | None
+    ) -> dict[str, npt.NDArray[np.float32]]:
+        if not names:
+            return {}
+        made = self.graph.run(self.device, self.pool, shot, set(names), None, timings)
+        pixels = {}
+        for name, texture in made.items():
+            pixels[name] = self._read(texture)
+            self.pool.give_back(texture)
+        return pixels
+
+    @property
+    def _padded_size(self) -> tuple[int, int]:
+        width, height = self.camera.size_px
+        return width + 2 * self.guard_px, height + 2 * self.guard_px
+
+    def _shot(self, view: View, jitter_px: tuple[float, float], sample: int) -> Shot:
+        camera = self.camera.turned(view.camera_deg)
+        return self.scene.shot(camera, view.subject_deg, self.guard_px, jitter_px, sample)
+
+    def _camera(self) -> Camera:
+        turntable = self.pipeline.turntable
+        count = min(turntable.frames, 72)
+        angles = turntable.start_deg + turntable.degrees * np.arange(count) / count
+        return frame_subject(
+            self.pipeline.camera, self.scene.asset.mesh.positions_mm, -np.asarray(angles)
+        )
+
+    def _guard_px(self) -> int:
+        """Pixels rendered beyond the picture, so that light diffuses in from outside it.
+
+        R_99.9 of the widest channel at the nearest point; at most half the picture (DESIGN 6).
+        """
+        if self.pipeline.diffusion.method == "none":
+            return 0
+        reach = self.camera.px_per_mm(self.camera.near_mm) * float(self.scene.reach_mm.max())
+        limit = min(self.camera.size_px) // 2
+        if reach > limit:
+            reason = f"the profile reaches {reach:.0f} px; the guard band stops at {limit} px"
+            self.decisions.append(Decision("guard band", reason))
+        return min(math.ceil(reach), limit)
+
+    def _read(self, texture: moderngl.Texture) -> npt.NDArray[np.float32]:
+        """(h, w, c) float32, cropped to the picture, top row first: the only flip there is."""
+        width, height = texture.size
+        raw = np.frombuffer(texture.read(), np.float32).reshape(height, width, -1)[::-1]
+        if texture.size == self._padded_size and self.guard_px:
+            g = self.guard_px
+            raw = raw[g:-g, g:-g]
+        return np.ascontiguousarray(raw)
+
+    def _check_names(self, names: Collection[str]) -> None:
+        known = self.buffer_names
+        for name in names:
+            buffer_spec(name)
+            if name not in known:
+                raise UsageError(
+                    f"this scene makes no buffer {name!r}",
+                    fix=f"it makes: {', '.join(known)}",
+                )
+
+    def _check_finite(self, beauty: npt.NDArray[np.float32], view: View) -> None:
+        bad = ~np.isfinite(beauty).all(axis=2)
+        if bad.any():
+            y, x = np.argwhere(bad)[0]
+            raise StageError(
+                f"frame {view.index} has {int(bad.sum())} non-finite pixels in beauty",
+                where=f"first at column {x}, row {y}",
+                fix="dump the buffers of this frame: scanrender render ASSET --buffers all",
+            )
+
+    def _info(self, view: View) -> dict[str, object]:
+        return {
+            "index": view.index,
+            "subject_deg": view.subject_deg,
+            "camera_deg": view.camera_deg,
+            "camera_distance_mm": round(self.camera.distance_mm, 3),
+            "guard_px": self.guard_px,
+        }
+
+
+def _family(name: str, order: dict[str, int]) -> int:
+    return order.get(f"{name.rsplit('_', 1)[0]}_0", len(order))
+
+
+def _channels(name: str, array: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    count = 1 if buffer_spec(name).kind == "scalar" else 3
+    return np.ascontiguousarray(array[:, :, :count])

@@ -1,0 +1,194 @@
+"""The pass graph: given the buffers somebody asked for, it walks backwards and runs only those.
+
+The only place that knows the order of passes. A pass declares what it reads and writes; a debug
+dump is the same walk with more buffers asked for. Intermediates are allocated before their writer
+and returned to a pool after their last reader, so that a turntable allocates nothing after its
+first frame.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import moderngl
+
+from scanrender.buffers import buffer_spec
+from scanrender.render.device import Device
+
+Size = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Buffer:
+    """What a pass writes: RGBA32F, or R32F with `components=1`.
+
+    `size` is (width, height) px, None for the picture with its guard band. A name with a leading
+    underscore is private to its pass: it is never dumped and needs no entry in the catalogue.
+    """
+
+    name: str
+    components: int = 4
+    size: Size | None = None
+    clear: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.name.startswith("_"):
+            buffer_spec(self.name)
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One pass. `draw(shot, inputs, target)` draws into the bound, cleared framebuffer `target`."""
+
+    name: str
+    reads: tuple[str, ...]
+    writes: tuple[Buffer, ...]
+    draw: Callable[[Any, Mapping[str, moderngl.Texture], moderngl.Framebuffer], None]
+    depth_test: bool = False
+
+
+class TexturePool:
+    """Textures and framebuffers, kept for reuse."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._free: dict[tuple[Size, int], list[moderngl.Texture]] = {}
+        self._depth: dict[Size, moderngl.Renderbuffer] = {}
+        self._framebuffers: dict[tuple[int, ...], moderngl.Framebuffer] = {}
+
+    def take(self, size: Size, components: int) -> moderngl.Texture:
+        free = self._free.setdefault((size, components), [])
+        if free:
+            return free.pop()
+        texture = self._device.context.texture(size, components, dtype="f4")
+        texture.repeat_x = texture.repeat_y = False
+        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        return texture
+
+    def give_back(self, texture: moderngl.Texture) -> None:
+        self._free[(texture.size, texture.components)].append(texture)
+
+    def framebuffer(
+        self, textures: Sequence[moderngl.Texture], depth: bool
+    ) -> moderngl.Framebuffer:
+        key = (*(texture.glo for texture in textures), int(depth))
+        if key not in self._framebuffers:
+            size = textures[0].size
+            if depth and size not in self._depth:
+                self._depth[size] = self._device.context.depth_renderbuffer(size)
+            self._framebuffers[key] = self._device.context.framebuffer(
+                list(textures), self._depth[size] if depth else None
+            )
+        return self._framebuffers[key]
+
+
+class Graph:
+    """All passes a scene could run. Raises ValueError when two passes write the same buffer."""
+
+    def __init__(self, passes: Iterable[Pass]) -> None:
+        self._writer: dict[str, Pass] = {}
+        for step in passes:
+            for buffer in step.writes:
+                if buffer.name in self._writer:
+                    other = self._writer[buffer.name].name
+                    raise ValueError(f"{buffer.name} is written by {other} and by {step.name}")
+                self._writer[buffer.name] = step
+
+    @property
+    def names(self) -> list[str]:
+        """Every buffer that can be asked for."""
+        return [name for name in self._writer if not name.startswith("_")]
+
+    def order(self, wanted: Collection[str], given: Collection[str] = ()) -> list[Pass]:
+        """The passes that `wanted` needs, each after those it reads from; `given` exist already.
+
+        Raises ValueError for a buffer that no pass writes, or for a circle.
+        """
+        ordered: list[Pass] = []
+        open_passes: list[Pass] = []
+
+        def visit(name: str) -> None:
+            if name in given:
+                return
+            if name not in self._writer:
+                raise ValueError(f"no pass of this scene writes {name!r}")
+            step = self._writer[name]
+            if step in ordered:
+                return
+            if step in open_passes:
+                raise ValueError(f"passes read each other in a circle at {step.name}")
+            open_passes.append(step)
+            for needed in step.reads:
+                visit(needed)
+            open_passes.pop()
+            ordered.append(step)
+
+        for name in sorted(wanted):
+            visit(name)
+        return ordered
+
+    def run(
+        self,
+        device: Device,
+        pool: TexturePool,
+        shot: Any,
+        wanted: Collection[str],
+        given: Mapping[str, moderngl.Texture] | None = None,
+        timings: dict[str, float] | None = None,
+    ) -> dict[str, moderngl.Texture]:
+        """Draw and return the `wanted` textures; the caller gives them back to the pool.
+
+        With `timings`, each pass is finished and its wall-clock seconds are added under its name
+        (timer queries lie on software GL). `shot.size` is the picture's padded (width, height).
+        """
+        steps = self.order(wanted, given or {})
+        last_use = {name: i for i, step in enumerate(steps) for name in step.reads}
+        live: dict[str, moderngl.Texture] = dict(given or {})
+        for index, step in enumerate(steps):
+            started = time.perf_counter()
+            for buffer in step.writes:
+                live[buffer.name] = pool.take(buffer.size or shot.size, buffer.components)
+            self._draw(device, pool, shot, step, live)
+            if timings is not None:
+                device.finish()
+                timings[step.name] = timings.get(step.name, 0.0) + time.perf_counter() - started
+            for name in [*step.reads, *(b.name for b in step.writes)]:
+                done = last_use.get(name, -1) <= index and name not in wanted
+                if done and name in live and name not in (given or {}):
+                    pool.give_back(live.pop(name))
+        return {name: live[name] for name in wanted}
+
+    def _draw(
+        self,
+        device: Device,
+        pool: TexturePool,
+        shot: Any,
+        step: Pass,
+        live: Mapping[str, moderngl.Texture],
+    ) -> None:
+        target = pool.framebuffer([live[b.name] for b in step.writes], step.depth_test)
+        target.use()
+        target.scissor = None
+        for attachment, buffer in enumerate(step.writes):
+            _clear(device, target, attachment, buffer)
+        context = device.context
+        context.disable(moderngl.BLEND)
+        if step.depth_test:
+            context.enable(moderngl.DEPTH_TEST)
+        else:
+            context.disable(moderngl.DEPTH_TEST)
+            target.scissor = shot.scissor
+        step.draw(shot, {name: live[name] for name in step.reads}, target)
+        target.scissor = None
+
+
+def _clear(
+    device: Device, target: moderngl.Framebuffer, attachment: int, buffer: Buffer
+) -> None:
+    if attachment == 0:
+        # One clear call sets every attachment and the depth; others only need their own value
+        # where it differs, which the far value of a shadow map (a single attachment) does.
+        target.clear(buffer.clear, buffer.clear, buffer.clear, buffer.clear, depth=1.0)

@@ -1,0 +1,41 @@
+"""compose: the sum of what leaves the skin toward the camera."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import moderngl
+import numpy as np
+
+from scanrender.render.device import bind
+from scanrender.render.graph import Buffer, Pass
+from scanrender.render.scene import Scene, Shot
+
+
+def passes(scene: Scene) -> list[Pass]:
+    skin = scene.pipeline.skin
+    reads = ["position", "diffuse"]
+    has_specular = skin.specular.strength > 0.0
+    has_transmission = skin.transmission.method != "none" and any(
+        lamp.settings.shadow and np.any(lamp.irradiance) for lamp in scene.lamps
+    )
+    reads += ["specular"] if has_specular else []
+    reads += ["transmission"] if has_transmission else []
+
+    def draw(
+        shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
+    ) -> None:
+        program = scene.device.program("compose")
+        absent = {"specular": scene.white, "transmission": scene.white}
+        bind(
+            program,
+            {
+                **absent,
+                **inputs,
+                "has_specular": has_specular,
+                "has_transmission": has_transmission,
+            },
+        )
+        scene.device.fill(program)
+
+    return [Pass("compose", tuple(reads), (Buffer("radiance"),), draw)]

@@ -1,0 +1,43 @@
+"""gbuffer: geometry and maps of the surface that each pixel sees."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import moderngl
+
+from scanrender.render.device import bind
+from scanrender.render.graph import Buffer, Pass
+from scanrender.render.scene import Scene, Shot
+
+WRITES = (
+    Buffer("position"),
+    Buffer("normal_geometry"),
+    Buffer("normal_shading"),
+    Buffer("albedo"),
+    Buffer("skin", components=1),
+    Buffer("ao", components=1),
+    Buffer("depth_mm", components=1),
+)
+
+
+def passes(scene: Scene) -> list[Pass]:
+    def draw(
+        shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
+    ) -> None:
+        program = scene.device.program("gbuffer", vertex="mesh")
+        maps = scene.maps
+        bind(
+            program,
+            {
+                "view_from_object": shot.view_from_object,
+                "clip_from_view": shot.clip_from_view,
+                "albedo_map": maps["albedo"],
+                "normal_map": maps["normal_ts"],
+                "ao_map": maps["ao"],
+                "skin_map": maps["skin"],
+            },
+        )
+        scene.draw_mesh(program)
+
+    return [Pass("gbuffer", (), WRITES, draw, depth_test=True)]

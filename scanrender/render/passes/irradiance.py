@@ -1,0 +1,55 @@
+"""irradiance: light that enters the skin, albedo-free, summed over ambient and lamps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import moderngl
+import numpy as np
+
+from scanrender.render.device import bind
+from scanrender.render.graph import Buffer, Pass
+from scanrender.render.passes._lamp import light_uniforms
+from scanrender.render.scene import Scene, Shot
+
+
+def passes(scene: Scene) -> list[Pass]:
+    shadowed = [f"visibility_{lamp.index}" for lamp in scene.lamps if lamp.settings.shadow]
+
+    def draw(
+        shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
+    ) -> None:
+        device = scene.device
+        program = device.program("irradiance")
+        common = {
+            "position": inputs["position"],
+            "normal_shading": inputs["normal_shading"],
+            "ao": inputs["ao"],
+            "directional_albedo": scene.directional_albedo,
+        }
+        ambient = {
+            "is_ambient": True,
+            "ambient": scene.ambient,
+            "mean_directional_albedo": scene.mean_directional_albedo,
+            "visibility": scene.white,
+        }
+        bind(program, {**common, **ambient})
+        device.fill(program)
+        device.context.enable(moderngl.BLEND)
+        device.context.blend_func = moderngl.ONE, moderngl.ONE
+        for lamp in scene.lamps:
+            if not np.any(lamp.irradiance):
+                continue
+            has_shadow = lamp.settings.shadow
+            uniforms = {
+                **common,
+                **light_uniforms(lamp, shot),
+                "is_ambient": False,
+                "has_shadow": has_shadow,
+                "visibility": inputs[f"visibility_{lamp.index}"] if has_shadow else scene.white,
+            }
+            bind(program, uniforms)
+            device.fill(program)
+
+    reads = ("position", "normal_shading", "ao", *shadowed)
+    return [Pass("irradiance", reads, (Buffer("irradiance"),), draw)]

@@ -1,0 +1,59 @@
+"""specular: reflection at the skin's surface, summed over ambient and lamps; never blurred."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import moderngl
+import numpy as np
+
+from scanrender.render.device import bind
+from scanrender.render.graph import Buffer, Pass
+from scanrender.render.passes._lamp import light_uniforms
+from scanrender.render.scene import Scene, Shot
+
+
+def passes(scene: Scene) -> list[Pass]:
+    shadowed = [f"visibility_{lamp.index}" for lamp in scene.lamps if lamp.settings.shadow]
+
+    def draw(
+        shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
+    ) -> None:
+        device = scene.device
+        program = device.program("specular")
+        common = {**_material(scene), **{name: inputs[name] for name in SURFACE}}
+        ambient = {"is_ambient": True, "ambient": scene.ambient, "visibility": scene.white}
+        bind(program, {**common, **ambient})
+        device.fill(program)
+        device.context.enable(moderngl.BLEND)
+        device.context.blend_func = moderngl.ONE, moderngl.ONE
+        for lamp in scene.lamps:
+            if not np.any(lamp.irradiance):
+                continue
+            has_shadow = lamp.settings.shadow
+            uniforms = {
+                **common,
+                **light_uniforms(lamp, shot),
+                "is_ambient": False,
+                "has_shadow": has_shadow,
+                "visibility": inputs[f"visibility_{lamp.index}"] if has_shadow else scene.white,
+            }
+            bind(program, uniforms)
+            device.fill(program)
+
+    return [Pass("specular", (*SURFACE, *shadowed), (Buffer("specular"),), draw)]
+
+
+SURFACE = ("position", "normal_shading", "ao")
+
+
+def _material(scene: Scene) -> dict[str, Any]:
+    specular = scene.pipeline.skin.specular
+    return {
+        "directional_albedo": scene.directional_albedo,
+        "f0": specular.f0,
+        "roughness": tuple(np.clip(specular.roughness, 0.01, 1.0)),
+        "second_lobe": specular.second_lobe,
+        "strength": specular.strength,
+    }

@@ -1,0 +1,45 @@
+"""visibility: how much of each lamp reaches the surface, with a soft edge."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import moderngl
+
+from scanrender.render.device import bind
+from scanrender.render.graph import Buffer, Pass
+from scanrender.render.lamps import Lamp
+from scanrender.render.passes._lamp import DISK_TAPS, shadow_uniforms
+from scanrender.render.scene import Scene, Shot
+
+
+def passes(scene: Scene) -> list[Pass]:
+    return [_visibility(scene, lamp) for lamp in scene.lamps if lamp.settings.shadow]
+
+
+def _visibility(scene: Scene, lamp: Lamp) -> Pass:
+    shadow_map = f"shadow_{lamp.index}"
+
+    def draw(
+        shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
+    ) -> None:
+        program = scene.device.program("visibility")
+        bind(
+            program,
+            {
+                **shadow_uniforms(lamp, shot, inputs[shadow_map]),
+                "position": inputs["position"],
+                "normal_geometry": inputs["normal_geometry"],
+                "to_light": shot.view_from_world[:3, :3] @ lamp.to_light,
+                "blur_mm": lamp.settings.shadow_blur_mm,
+                "taps": DISK_TAPS,
+            },
+        )
+        scene.device.fill(program)
+
+    return Pass(
+        f"visibility_{lamp.index}",
+        ("position", "normal_geometry", shadow_map),
+        (Buffer(f"visibility_{lamp.index}", components=1),),
+        draw,
+    )

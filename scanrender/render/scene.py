@@ -1,0 +1,223 @@
+"""The scene on the device: geometry, maps, tables; and the shot, which is one sample of a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import moderngl
+import numpy as np
+import numpy.typing as npt
+
+from scanrender.asset import Asset
+from scanrender.optics.kernels import gaussian_taps
+from scanrender.optics.profiles.gaussians import D_EON_SKIN, GaussianSum
+from scanrender.optics.surface import SpecularLobes
+from scanrender.render.camera import Camera, Matrix, rotation_y
+from scanrender.render.device import Device
+from scanrender.render.lamps import resolve_lights
+from scanrender.render.view import TABLE_SIZE, view_table
+from scanrender.settings.pipeline import Pipeline
+from scanrender.settings.skin import SkinSettings
+
+RHO_TABLE_SIZE = 64
+# What a scan without a map gets: (components, value). Thickness has no neutral value and no pass
+# reads it yet.
+NEUTRAL_MAPS = {"albedo": (0.5, 0.5, 0.5), "normal_ts": (0.0, 0.0, 1.0), "ao": (1.0,), "skin": (1.0,)}
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One sample of one frame: matrices (float64, `target_from_source`) and the pixels it fills.
+
+    `size` is (width, height) in px with the guard band; `scissor` the (x, y, w, h) in GL's
+    bottom-up pixels that the subject can touch; `near_mm` the least depth it can have. `sample` numbers
+    the supersample.
+    """
+
+    size: tuple[int, int]
+    scissor: tuple[int, int, int, int]
+    view_from_world: Matrix
+    world_from_object: Matrix
+    clip_from_view: Matrix
+    near_mm: float
+    sample: int
+    guard_px: int
+
+    @property
+    def view_from_object(self) -> Matrix:
+        return self.view_from_world @ self.world_from_object
+
+    @property
+    def px_per_mm_at_1mm(self) -> float:
+        """0.5 H P11: divide by depth in mm for pixels per millimetre (square pixels)."""
+        return float(0.5 * self.size[1] * self.clip_from_view[1, 1])
+
+
+class Scene:
+    """An asset under lights with a material, on the device. Everything a pass may read."""
+
+    def __init__(self, device: Device, asset: Asset, pipeline: Pipeline) -> None:
+        self.device = device
+        self.asset = asset
+        self.pipeline = pipeline
+        self.radius_mm = float(np.linalg.norm(asset.mesh.positions_mm, axis=1).max(initial=1e-3))
+        self.lamps, self.ambient = resolve_lights(pipeline.lights, self.radius_mm)
+        self.profile = profile_of(pipeline.skin)
+        self.albedo_power = {"pre": 1.0, "mixed": 0.5, "post": 0.0}[pipeline.skin.texturing]
+        # Radius of 99.9 % of the profile per channel: guard band, culling, kernel_px.
+        self.reach_mm = np.asarray(self.profile.radius_for(0.999), dtype=np.float64)
+        scatters = pipeline.diffusion.method != "none"
+        self.uses_skin_map = scatters and pipeline.diffusion.mask == "skin" and "skin" in asset.maps
+        self._index = device.context.buffer(asset.mesh.faces.astype(np.uint32).tobytes())
+        self._vertices = device.context.buffer(_interleaved(asset).tobytes())
+        self._arrays: dict[str, moderngl.VertexArray] = {}
+
+    def draw_mesh(self, program: moderngl.Program) -> None:
+        """Draw all triangles with a program that takes any of the mesh's attributes."""
+        key = str(program.glo)
+        if key not in self._arrays:
+            layout = [("3f", "position_mm"), ("3f", "normal"), ("4f", "tangent"), ("2f", "uv")]
+            # Attributes that the compiler removed are skipped over, not bound.
+            form = " ".join(f if n in program else _padding(f) for f, n in layout)
+            names = [n for _, n in layout if n in program]
+            self._arrays[key] = self.device.context.vertex_array(
+                program, [(self._vertices, form, *names)], self._index
+            )
+        self._arrays[key].render(moderngl.TRIANGLES)
+
+    @cached_property
+    def maps(self) -> dict[str, moderngl.Texture]:
+        """Albedo, normal, AO and skin maps, mipmapped; a neutral texel for a missing one."""
+        return {name: self._map(name) for name in NEUTRAL_MAPS}
+
+    def gaussian_taps(self, count: int, size: int) -> bytes:
+        """(offset in sigma, weight) of a unit Gaussian by exact cell integrals, as vec2[size]."""
+        taps = gaussian_taps(count)
+        array = np.zeros((size, 2), dtype=np.float32)
+        array[:count] = np.stack([taps.offsets_sigma, taps.weights], axis=1)
+        return array.tobytes()
+
+    @cached_property
+    def smoothing_taps(self) -> moderngl.Texture:
+        taps = gaussian_taps(15)
+        return self.device.table(np.stack([taps.offsets_sigma, taps.weights], axis=1)[None])
+
+    @cached_property
+    def _lobes(self) -> SpecularLobes:
+        specular = self.pipeline.skin.specular
+        return SpecularLobes(
+            m_first=specular.roughness[0],
+            m_second=specular.roughness[1],
+            mix=1.0 - specular.second_lobe,
+            f0=specular.f0,
+        )
+
+    @cached_property
+    def _rho(self) -> npt.NDArray[np.float64]:
+        cosines = (np.arange(RHO_TABLE_SIZE) + 0.5) / RHO_TABLE_SIZE
+        strength = self.pipeline.skin.specular.strength
+        return np.clip(strength * self._lobes.directional_albedo(cosines), 0.0, 1.0)
+
+    @cached_property
+    def directional_albedo(self) -> moderngl.Texture:
+        """Row over cos theta in [0, 1]: what the specular lobes reflect, rho_s rho_dt(cos theta)."""
+        return self.device.table(self._rho.reshape(1, -1, 1), linear=True)
+
+    @cached_property
+    def mean_directional_albedo(self) -> float:
+        """Cosine-weighted mean of `directional_albedo`: for light that comes from everywhere."""
+        cosines = (np.arange(RHO_TABLE_SIZE) + 0.5) / RHO_TABLE_SIZE
+        return float(np.average(self._rho, weights=cosines))
+
+    @cached_property
+    def view_table(self) -> moderngl.Texture3D:
+        """The view transform over log2 of scene-linear red, green, blue."""
+        values = view_table(self.pipeline.view.transform)
+        texture = self.device.context.texture3d(
+            (TABLE_SIZE,) * 3, 3, np.ascontiguousarray(values).tobytes(), dtype="f4"
+        )
+        texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
+        texture.repeat_x = texture.repeat_y = texture.repeat_z = False
+        return texture
+
+    @cached_property
+    def white(self) -> moderngl.Texture:
+        """Visibility of a light that casts no shadow."""
+        return self.device.table(np.ones((1, 1, 1)))
+
+    def shot(
+        self,
+        camera: Camera,
+        turn_deg: float,
+        guard_px: int = 0,
+        jitter_px: tuple[float, float] = (0.0, 0.0),
+        sample: int = 0,
+    ) -> Shot:
+        """One sample with the subject turned by `turn_deg` about +Y."""
+        view_from_world = camera.view_from_world
+        world_from_object = rotation_y(turn_deg)
+        clip_from_view = camera.clip_from_view(guard_px, jitter_px)
+        width, height = (side + 2 * guard_px for side in camera.size_px)
+        scissor = _screen_bounds(
+            self.asset.mesh.positions_mm,
+            clip_from_view @ view_from_world @ world_from_object,
+            (width, height),
+        )
+        return Shot(
+            (width, height), scissor, view_from_world, world_from_object, clip_from_view,
+            camera.near_mm, sample, guard_px,
+        )
+
+    def _map(self, name: str) -> moderngl.Texture:
+        pixels = self.asset.maps.get(name)
+        if pixels is None:
+            return self.device.table(np.array(NEUTRAL_MAPS[name]).reshape(1, 1, -1))
+        height, width, components = pixels.shape
+        # Half floats hold 8-bit sRGB and unit normals to better than their own step.
+        data = np.ascontiguousarray(pixels, dtype=np.float16)
+        texture = self.device.context.texture(
+            (width, height), components, data.tobytes(), dtype="f2", alignment=1
+        )
+        texture.repeat_x = texture.repeat_y = False
+        texture.build_mipmaps()
+        texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+        return texture
+
+
+def profile_of(skin: SkinSettings) -> GaussianSum:
+    """The diffusion profile that the settings describe, scaled. A scale of 0 is sub-pixel skin."""
+    profile = D_EON_SKIN
+    if not isinstance(skin.profile, str):
+        terms = sorted(skin.profile, key=lambda term: term.variance_mm2)
+        profile = GaussianSum.normalized(
+            tuple(term.variance_mm2 for term in terms), tuple(term.weight for term in terms)
+        )
+    return profile.scaled(max(skin.scale, 1e-6)) if skin.scale != 1.0 else profile
+
+
+def _interleaved(asset: Asset) -> npt.NDArray[np.float32]:
+    mesh = asset.mesh
+    return np.hstack([mesh.positions_mm, mesh.normals, mesh.tangents, mesh.uv]).astype(np.float32)
+
+
+def _padding(form: str) -> str:
+    return f"{4 * int(form[0])}x"
+
+
+def _screen_bounds(
+    positions_mm: npt.NDArray[np.floating], clip_from_object: Matrix, size: tuple[int, int]
+) -> tuple[int, int, int, int]:
+    """(x, y, w, h) in bottom-up pixels that can show the mesh; everything when it surrounds us."""
+    low, high = positions_mm.min(axis=0), positions_mm.max(axis=0)
+    corners = np.array([[x, y, z, 1.0] for x in (low[0], high[0]) for y in (low[1], high[1])
+                        for z in (low[2], high[2])])
+    clip = corners @ clip_from_object.T
+    whole = (0, 0, *size)
+    if (clip[:, 3] <= 1e-6).any():
+        return whole
+    pixel = (clip[:, :2] / clip[:, 3:] * 0.5 + 0.5) * size
+    start = np.clip(np.floor(pixel.min(axis=0)) - 2, 0, size).astype(int)
+    stop = np.clip(np.ceil(pixel.max(axis=0)) + 2, 0, size).astype(int)
+    span = np.maximum(stop - start, 1)
+    return int(start[0]), int(start[1]), int(span[0]), int(span[1])

@@ -1,0 +1,13 @@
+// Shared by the full-screen passes. Spaces: view = millimetres, camera at the origin, looks along
+// -Z. Pixels are addressed bottom-up, as GL does; rows are flipped once, at readback.
+
+const float PI = 3.14159265358979;
+const float GOLDEN_ANGLE = 2.39996322972865;
+
+// Golden-angle disk: point i of n on the unit disk, uniform by area, turned by `turn` radians.
+// Deterministic; (i + 0.5) keeps it off the centre and off the rim.
+vec2 disk_point(int i, int n, float turn) {
+    float radius = sqrt((float(i) + 0.5) / float(n));
+    float angle = float(i) * GOLDEN_ANGLE + turn;
+    return radius * vec2(cos(angle), sin(angle));
+}

@@ -1,0 +1,18 @@
+#version 330 core
+// energy_ratio: sum_k w_k gaussian_k over diffusion_input, per channel, added level by level.
+// 1 where light stays, above 1 where it arrives (inside shadow edges), below 1 where it leaves.
+uniform sampler2D level;
+uniform sampler2D diffusion_input;
+uniform vec3 weight;
+layout(location = 0) out vec4 energy_ratio;
+
+void main() {
+    ivec2 here = ivec2(gl_FragCoord.xy);
+    vec4 undiffused = texelFetch(diffusion_input, here, 0);
+    energy_ratio = vec4(0.0);
+    if (undiffused.a == 0.0) return;
+    // A shadow's core has no light of its own: the floor keeps the ratio finite there.
+    vec3 floor_value = vec3(1e-4 * undiffused.a);
+    vec3 share = texelFetch(level, here, 0).rgb / max(undiffused.rgb, floor_value);
+    energy_ratio = vec4(weight * share, 0.0);
+}

@@ -1,0 +1,48 @@
+#version 330 core
+// gbuffer: mesh + maps -> position (view, mm; a = coverage), normal_geometry, normal_shading
+// (view, unit), albedo (lin_rec709_scene; a = 1), skin, ao, depth_mm.
+// Check alone: normal_geometry must show no pores, normal_shading must.
+in vec3 v_position;
+in vec3 v_normal;
+in vec4 v_tangent;
+in vec2 v_uv;
+
+uniform sampler2D albedo_map;
+uniform sampler2D normal_map;  // tangent space unit vector, +Y
+uniform sampler2D ao_map;
+uniform sampler2D skin_map;
+
+layout(location = 0) out vec4 position;
+layout(location = 1) out vec4 normal_geometry;
+layout(location = 2) out vec4 normal_shading;
+layout(location = 3) out vec4 albedo;
+layout(location = 4) out float skin;
+layout(location = 5) out float ao;
+layout(location = 6) out float depth_mm;
+
+// A scan's normals can vanish between opposed vertices; fall back rather than divide by zero.
+vec3 safe_unit(vec3 v, vec3 otherwise) {
+    float squared = dot(v, v);
+    return squared > 1e-12 ? v * inversesqrt(squared) : otherwise;
+}
+
+void main() {
+    vec3 to_eye = -normalize(v_position);
+    vec3 n = safe_unit(v_normal, to_eye);
+    // Holes show the inside of the skin: light it from the side that is seen.
+    if (!gl_FrontFacing) n = -n;
+
+    // MikkTSpace: the interpolated tangent and sign are used as they are, not re-orthogonalised.
+    vec3 bitangent = v_tangent.w * cross(v_normal, v_tangent.xyz);
+    vec3 t = texture(normal_map, v_uv).xyz;
+    vec3 shading = safe_unit(t.x * v_tangent.xyz + t.y * bitangent + t.z * v_normal, n);
+    if (!gl_FrontFacing) shading = -shading;
+
+    position = vec4(v_position, 1.0);
+    normal_geometry = vec4(n, 1.0);
+    normal_shading = vec4(shading, 1.0);
+    albedo = vec4(clamp(texture(albedo_map, v_uv).rgb, 0.0, 1.0), 1.0);
+    skin = clamp(texture(skin_map, v_uv).r, 0.0, 1.0);
+    ao = clamp(texture(ao_map, v_uv).r, 0.0, 1.0);
+    depth_mm = -v_position.z;
+}

@@ -1,0 +1,8 @@
+#version 330 core
+// shadow: mesh -> shadow_N (R32F, mm).
+// Linear depth in millimetres, so that thickness and bias are lengths at any distance (DESIGN 6).
+// Check alone: shadow_0 is a smooth relief; where the light sees nothing it holds the far value.
+in float v_depth_mm;
+layout(location = 0) out float shadow;
+
+void main() { shadow = v_depth_mm; }

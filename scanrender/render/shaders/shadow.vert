@@ -1,0 +1,15 @@
+#version 330 core
+// The mesh as one light sees it.
+in vec3 position_mm;  // object space, mm
+
+uniform mat4 light_from_object;
+uniform mat4 clip_from_light;
+uniform float light_near_mm;
+
+out float v_depth_mm;  // from the light's near plane along its axis
+
+void main() {
+    vec4 in_light = light_from_object * vec4(position_mm, 1.0);
+    v_depth_mm = -in_light.z - light_near_mm;
+    gl_Position = clip_from_light * in_light;
+}

@@ -1,0 +1,69 @@
+#version 330 core
+// transmission: position, normal_geometry, albedo, skin, shadow_N
+//   -> thickness_mm (R32F), transmittance (RGB), transmission (RGB radiance, added over lamps).
+// Jimenez et al. 2010, with T(d) = sum w exp(-d^2 / 2v): their exp(-d^2 / v) is the wrong plane
+// integral (0.305 for 0.406 in red at 1 mm). T is averaged over the taps, not d: mean T(d) != T(mean
+// d). d is clamped with max(0, .), never abs(), which would turn acne into glow.
+// Light below `bias_mm` of skin is the lit face itself, which irradiance already holds.
+// Check alone: thickness_mm is small at ears only; transmission is black on the lit side.
+#include "common.glsl"
+#include "light.glsl"
+#include "shadow_lookup.glsl"
+uniform sampler2D position;
+uniform sampler2D normal_geometry;
+uniform sampler2D albedo;
+uniform sampler2D skin;
+uniform sampler2D profile;     // rows of (1/(2v), wR, wG, wB)
+uniform int profile_count;
+uniform float bias_mm;         // mm, the receiver is moved this far along -N
+uniform float blur_mm;         // mm, radius of the average in the light's view
+uniform float texel_mm;
+uniform float wrap;            // light enters past the terminator: 0 physical
+uniform float far_mm;          // thickness where the light never entered
+uniform bool use_skin;
+uniform int tap_count;
+uniform float turn;
+
+layout(location = 0) out vec4 transmission;
+layout(location = 1) out float thickness_mm;
+layout(location = 2) out vec4 transmittance;
+
+vec3 transmittance_at(float d) {
+    vec3 t = vec3(0.0);
+    for (int k = 0; k < profile_count; ++k) {
+        vec4 term = texelFetch(profile, ivec2(0, k), 0);
+        t += term.yzw * exp(-d * d * term.x);
+    }
+    return t;
+}
+
+void main() {
+    ivec2 here = ivec2(gl_FragCoord.xy);
+    vec4 p = texelFetch(position, here, 0);
+    transmission = vec4(0.0);
+    transmittance = vec4(0.0);
+    thickness_mm = 0.0;
+    if (p.a == 0.0) return;
+    vec3 n = texelFetch(normal_geometry, here, 0).xyz;
+    LightPoint inside = light_point(p.xyz - n * bias_mm);
+
+    vec3 t = vec3(0.0);
+    float thickness = 0.0;
+    for (int i = 0; i < tap_count; ++i) {
+        vec2 offset = disk_point(i, tap_count, turn) * max(blur_mm, texel_mm);
+        float entry = texture(shadow_map, inside.uv + offset / inside.mm_per_uv).r;
+        // A tap beside the subject met nothing: it tells of no path, so it counts as thick.
+        float d = entry > inside.depth_mm + bias_mm ? far_mm : max(0.0, inside.depth_mm - entry);
+        thickness += d;
+        t += d >= far_mm ? vec3(0.0) : transmittance_at(d);
+    }
+    thickness_mm = thickness / float(tap_count);
+    t /= float(tap_count);
+    transmittance = vec4(t, 1.0);
+
+    vec3 l = direction_to_light(p.xyz);
+    float back = max(0.0, wrap - dot(l, n));
+    float s = use_skin ? texelFetch(skin, here, 0).r : 1.0;
+    vec3 a = texelFetch(albedo, here, 0).rgb;
+    transmission = vec4(a * t * incident_irradiance(p.xyz) * (back * s), 0.0);
+}
