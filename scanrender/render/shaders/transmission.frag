@@ -47,13 +47,17 @@ void main() {
     vec3 n = texelFetch(normal_geometry, here, 0).xyz;
     LightPoint inside = light_point(p.xyz - n * bias_mm);
 
+    vec3 l = direction_to_light(p.xyz);
+    bool away = dot(l, n) < 0.0;
     vec3 t = vec3(0.0);
     float thickness = 0.0;
     for (int i = 0; i < tap_count; ++i) {
         vec2 offset = disk_point(i, tap_count, turn) * max(blur_mm, texel_mm);
         float entry = texture(shadow_map, inside.uv + offset / inside.mm_per_uv).r;
-        // A tap beside the subject met nothing: it tells of no path, so it counts as thick.
-        float d = entry > inside.depth_mm + bias_mm ? far_mm : max(0.0, inside.depth_mm - entry);
+        // Away from the light, a tap that enters deeper than the point itself (or nowhere) tells of
+        // no path through skin: it counts as thick. On the lit side it is the lit face, 0 thick.
+        bool no_path = away && entry > inside.depth_mm + bias_mm;
+        float d = no_path ? far_mm : max(0.0, inside.depth_mm - entry);
         thickness += d;
         t += d >= far_mm ? vec3(0.0) : transmittance_at(d);
     }
@@ -61,7 +65,6 @@ void main() {
     t /= float(tap_count);
     transmittance = vec4(t, 1.0);
 
-    vec3 l = direction_to_light(p.xyz);
     float back = max(0.0, wrap - dot(l, n));
     float s = use_skin ? texelFetch(skin, here, 0).r : 1.0;
     vec3 a = texelFetch(albedo, here, 0).rgb;
