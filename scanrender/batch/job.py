@@ -1,0 +1,149 @@
+"""One job: a scan through a pipeline into a folder, with a manifest written last."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from scanrender import __version__
+from scanrender.asset import Asset, load_asset
+from scanrender.batch.turntable import Progress, write_turntable
+from scanrender.errors import OutputError
+from scanrender.files import make_folder, write_text
+from scanrender.outputs.manifest import (
+    hash_file,
+    package_versions,
+    platform_info,
+    write_manifest,
+)
+from scanrender.settings.loading import resolved_yaml
+from scanrender.settings.pipeline import Pipeline
+
+# The maps that some pass of today's renderer reads.
+RENDERED_MAPS = ("albedo", "normal_ts", "ao", "skin")
+
+
+@dataclass
+class Result:
+    """What a finished job tells: its folder, files, seconds per stage, and sentences of warning."""
+
+    name: str
+    folder: Path
+    files: list[str] = field(default_factory=list)
+    stages: dict[str, float] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    decisions: list[str] = field(default_factory=list)
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "scan": self.name,
+            "folder": str(self.folder),
+            "files": self.files,
+            "seconds": {name: round(value, 3) for name, value in self.stages.items()},
+            "warnings": self.warnings,
+            "not_run": self.decisions,
+        }
+
+
+def run_job(
+    scan: Path,
+    pipeline: Pipeline,
+    folder: Path,
+    progress: Progress,
+    frames: Sequence[int] | None = None,
+) -> Result:
+    """Prepare and render one scan. Raises any ScanrenderError; what is complete by then stays."""
+    check_writable(folder)
+    if "render" in pipeline.stages:
+        from scanrender.render.device import device
+
+        device()  # no GL is said now, not after a minute of preparation
+    result = Result(scan.stem, folder)
+    asset_folder = folder / "asset"
+    if "prep" in pipeline.stages:
+        asset = _prepare(scan, pipeline, asset_folder, progress, result)
+        source: dict[str, Any] = {"file": scan.name, "sha256": hash_file(scan)}
+    else:
+        asset = load_asset(scan, RENDERED_MAPS)
+        source = dict(asset.info.get("source", {}))
+    gl: dict[str, Any] = {}
+    if "render" in pipeline.stages:
+        gl = _render(asset, pipeline, folder, progress, frames, result)
+    write_text(folder / "pipeline.yaml", resolved_yaml(pipeline))
+    result.files.append("pipeline.yaml")
+    write_manifest(folder, _manifest(pipeline, source, gl, result))
+    result.files.append("manifest.json")
+    return result
+
+
+def check_writable(folder: Path) -> None:
+    """Say that nothing can be written there before the work, not after it. Raises OutputError."""
+    make_folder(folder)
+    probe = folder / ".writing-probe"
+    try:
+        probe.write_bytes(b"")
+        probe.unlink()
+    except OSError as error:
+        raise OutputError(
+            f"cannot write into {folder}: {error.strerror}", str(folder), "choose another --out"
+        ) from error
+
+
+def _prepare(
+    scan: Path, pipeline: Pipeline, folder: Path, progress: Progress, result: Result
+) -> Asset:
+    from scanrender.scan.prepare import prepare
+
+    started = time.perf_counter()
+    asset = prepare(scan, pipeline.scan, pipeline.prep, folder, progress=progress)
+    result.stages["prep"] = time.perf_counter() - started
+    result.warnings += [str(sentence) for sentence in asset.info.get("warnings", [])]
+    result.files.append("asset/")
+    return asset
+
+
+def _render(
+    asset: Asset,
+    pipeline: Pipeline,
+    folder: Path,
+    progress: Progress,
+    frames: Sequence[int] | None,
+    result: Result,
+) -> dict[str, Any]:
+    from scanrender.render.device import device
+    from scanrender.render.frame import Renderer
+    from scanrender.render.view import describe
+
+    started = time.perf_counter()
+    renderer = Renderer(device(), asset, pipeline)
+    result.stages["upload"] = time.perf_counter() - started
+    written = write_turntable(renderer, folder, result.name, progress, frames)
+    result.files += written.files
+    result.stages.update(written.seconds)
+    result.decisions += [f"{d.what}: {d.reason}" for d in renderer.decisions]
+    gl = renderer.device
+    return {
+        "renderer": gl.renderer,
+        "version": gl.version,
+        "vendor": gl.vendor,
+        "view": describe(pipeline.view),
+    }
+
+
+def _manifest(
+    pipeline: Pipeline, source: dict[str, Any], gl: dict[str, Any], result: Result
+) -> dict[str, Any]:
+    return {
+        "scanrender": __version__,
+        "versions": package_versions(),
+        "platform": platform_info(),
+        "gl": gl,
+        "source": source,
+        "settings": pipeline.model_dump(mode="json"),
+        "seconds": {name: round(value, 3) for name, value in result.stages.items()},
+        "warnings": result.warnings,
+        "not_run": result.decisions,
+    }

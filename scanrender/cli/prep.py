@@ -1,0 +1,52 @@
+"""`scanrender prep SCAN`"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from scanrender.cli import options
+
+
+@click.command("prep")
+@click.argument("scan", type=click.Path(path_type=Path))
+@click.option("--pipeline", default="prep_only", show_default=True,
+              help="Pipeline file or shipped name that holds the settings.")
+@options.overrides
+@options.out("out/asset")
+@click.option("--as-is", is_flag=True, help="Keep the raw triangles: no simplify, no unwrap.")
+@options.progress
+@options.as_json
+@options.debug
+def command(
+    scan: Path,
+    pipeline: str,
+    overrides: tuple[str, ...],
+    out: Path,
+    as_is: bool,
+    progress_kind: str,
+    as_json: bool,
+) -> None:
+    """Prepare SCAN into the asset folder --out, which Blender or any glTF viewer opens too."""
+    from scanrender.cli.progress import progress
+    from scanrender.settings.loading import load_pipeline
+
+    settings = load_pipeline(pipeline, overrides)
+    options.existing(scan, "scan")
+    from scanrender.batch.job import check_writable
+    from scanrender.scan.prepare import prepare
+
+    check_writable(out.parent)
+    with progress(progress_kind) as show:
+        asset = prepare(scan, settings.scan, settings.prep, out, progress=show, as_is=as_is)
+    if as_json:
+        click.echo(json.dumps({"asset": str(out), **asset.info}, indent=2))
+        return
+    low, high = asset.mesh.bounds_mm
+    size = " x ".join(f"{side:.0f}" for side in high - low)
+    click.echo(f"{out}/: {len(asset.mesh.faces):,} triangles, {size} mm, "
+               f"maps: {', '.join(asset.maps)}")
+    for sentence in asset.info.get("warnings", []):
+        click.echo(f"  warning: {sentence}")

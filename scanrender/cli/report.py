@@ -1,0 +1,42 @@
+"""What a finished command prints on stdout."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from scanrender.batch.job import Result
+
+
+def print_results(results: Sequence[Result], as_json: bool) -> None:
+    """Where things are, one block a scan; or one JSON document."""
+    if as_json:
+        click.echo(json.dumps([result.as_json() for result in results], indent=2))
+        return
+    for result in results:
+        click.echo(f"{result.name}: {result.folder}/")
+        for name in _collapsed(result.files):
+            click.echo(f"  {name}")
+        spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in result.stages.items())
+        click.echo(f"  time: {spent}")
+        for sentence in result.warnings:
+            click.echo(f"  warning: {sentence}")
+        for sentence in result.decisions:
+            click.echo(f"  not run: {sentence}")
+
+
+def _collapsed(files: Sequence[str]) -> list[str]:
+    """Many files of one folder become one line."""
+    folders: dict[str, int] = {}
+    lines = []
+    for name in files:
+        folder, slash, rest = name.partition("/")
+        if slash and rest:
+            folders[folder] = folders.get(folder, 0) + 1
+        else:
+            lines.append(name)
+    return [*lines, *(f"{folder}/ ({count} files)" for folder, count in folders.items())]

@@ -1,0 +1,59 @@
+"""`scanrender run PIPELINE SCAN…`"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from scanrender.cli import options
+
+
+@click.command("run")
+@click.argument("pipeline")
+@click.argument("scans", nargs=-1, type=click.Path(path_type=Path))
+@options.overrides
+@options.out("out")
+@click.option("--frames", metavar="A-B", help="Only these frames (0-based, inclusive), as PNG.")
+@click.option("--dry-run", is_flag=True, help="Check everything and say what would be done.")
+@options.progress
+@options.as_json
+@options.debug
+def command(
+    pipeline: str,
+    scans: tuple[Path, ...],
+    overrides: tuple[str, ...],
+    out: Path,
+    frames: str | None,
+    dry_run: bool,
+    progress_kind: str,
+    as_json: bool,
+) -> None:
+    """Run PIPELINE (a file, or the name of a shipped one) on each SCAN.
+
+    One scan's results go straight into --out, several into a folder each.
+    """
+    from scanrender.cli.progress import progress
+    from scanrender.cli.report import print_results
+    from scanrender.errors import UsageError
+    from scanrender.settings.loading import load_pipeline
+
+    settings = load_pipeline(pipeline, overrides)
+    if not scans:
+        raise UsageError("run needs at least one scan", fix="scanrender run PIPELINE SCAN --out OUT")
+    for scan in scans:
+        options.existing(scan, "scan")
+    chosen = options.frame_range(frames, settings.turntable.frames)
+    if dry_run:
+        count = len(chosen) if chosen is not None else settings.turntable.frames
+        for scan in scans:
+            click.echo(f"{scan}: {' + '.join(settings.stages)}, {count} frames -> {out}")
+        return
+    from scanrender.batch.run import run_batch
+
+    with progress(progress_kind) as show:
+        batch = run_batch(
+            scans, settings, out, show, lambda line: click.echo(line, err=True), chosen
+        )
+    print_results(batch.results, as_json)
+    batch.raise_if_failed()
