@@ -67,3 +67,8 @@ class ViewSettings(Section):
     background: Rgb = setting(
         (0.035, 0.037, 0.042), "Scene-linear colour behind the subject.", unit="1"
     )
+    inside_albedo: Rgb = setting(
+        (0.03, 0.03, 0.032),
+        "Albedo of the inside of an open scan, where its back or a hole shows it (linear Rec.709).",
+        unit="1",
+    )

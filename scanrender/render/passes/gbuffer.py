@@ -36,6 +36,7 @@ def passes(scene: Scene) -> list[Pass]:
                 "normal_map": maps["normal_ts"],
                 "ao_map": maps["ao"],
                 "skin_map": maps["skin"],
+                "inside_albedo": scene.pipeline.view.inside_albedo,
             },
         )
         scene.draw_mesh(program)

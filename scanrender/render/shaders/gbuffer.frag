@@ -11,6 +11,7 @@ uniform sampler2D albedo_map;
 uniform sampler2D normal_map;  // tangent space unit vector, +Y
 uniform sampler2D ao_map;
 uniform sampler2D skin_map;
+uniform vec3 inside_albedo;    // of the back of the surface, lin_rec709_scene
 
 layout(location = 0) out vec4 position;
 layout(location = 1) out vec4 normal_geometry;
@@ -29,14 +30,15 @@ vec3 safe_unit(vec3 v, vec3 otherwise) {
 void main() {
     vec3 to_eye = -normalize(v_position);
     vec3 n = safe_unit(v_normal, to_eye);
-    // Holes show the inside of the skin: light it from the side that is seen.
+    // An open back or a hole shows the inside of the surface. It is lit from the side that is seen,
+    // and drawn as no skin at all: the hollow of a face, textured, reads as a second face.
     if (!gl_FrontFacing) n = -n;
 
     // MikkTSpace: the interpolated tangent and sign are used as they are, not re-orthogonalised.
     vec3 bitangent = v_tangent.w * cross(v_normal, v_tangent.xyz);
     vec3 t = texture(normal_map, v_uv).xyz;
     vec3 shading = safe_unit(t.x * v_tangent.xyz + t.y * bitangent + t.z * v_normal, n);
-    if (!gl_FrontFacing) shading = -shading;
+    if (!gl_FrontFacing) shading = n;
 
     position = vec4(v_position, 1.0);
     normal_geometry = vec4(n, 1.0);
@@ -45,4 +47,8 @@ void main() {
     skin = clamp(texture(skin_map, v_uv).r, 0.0, 1.0);
     ao = clamp(texture(ao_map, v_uv).r, 0.0, 1.0);
     depth_mm = -v_position.z;
+    if (!gl_FrontFacing) {
+        albedo.rgb = inside_albedo;
+        skin = 0.0;
+    }
 }

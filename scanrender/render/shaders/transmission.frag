@@ -59,7 +59,8 @@ void main() {
         bool no_path = away && entry > inside.depth_mm + bias_mm;
         float d = no_path ? far_mm : max(0.0, inside.depth_mm - entry);
         thickness += d;
-        t += d >= far_mm ? vec3(0.0) : transmittance_at(d);
+        // Fading in over one more bias keeps the terminator smooth when `wrap` lights it.
+        t += d >= far_mm ? vec3(0.0) : smoothstep(bias_mm, 2.0 * bias_mm, d) * transmittance_at(d);
     }
     thickness_mm = thickness / float(tap_count);
     t /= float(tap_count);
