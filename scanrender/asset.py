@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender import __version__, images
-from scanrender.errors import ScanError, UsageError
+from scanrender.errors import OutputError, ScanError, UsageError
 from scanrender.files import atomic_folder, write_json
 
 FloatArray = npt.NDArray[np.float32]
@@ -85,9 +85,24 @@ class Asset:
     info: Mapping[str, Any] = field(default_factory=dict)
 
 
+def check_replaceable(folder: Path | str) -> None:
+    """An asset replaces its whole folder, so only one that is free, empty, or an asset may be it.
+
+    Raises OutputError: `prep SCAN --out ~/Documents` must not empty that folder.
+    """
+    folder = Path(folder)
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / "asset.json").is_file():
+        raise OutputError(
+            f"{folder} holds other files and is not an asset: it would be replaced whole",
+            str(folder),
+            "name a folder that does not exist yet, e.g. --out out/asset",
+        )
+
+
 def save_asset(asset: Asset, folder: Path | str) -> Path:
     """Write the asset folder complete or not at all. Raises OutputError."""
     folder = Path(folder)
+    check_replaceable(folder)
     with atomic_folder(folder) as temporary:
         for name, pixels in asset.maps.items():
             _write_map(temporary, name, pixels)
@@ -113,13 +128,17 @@ def load_asset(folder: Path | str, maps: Collection[str] | None = None) -> Asset
         raise ScanError(
             f"{folder} is not an asset folder: {error}", str(description), "run: scanrender prep"
         ) from error
-    if info.get("format") != FORMAT_VERSION:
+    if not isinstance(info, dict) or info.get("format") != FORMAT_VERSION:
+        found = info.get("format") if isinstance(info, dict) else "of no kind"
         raise ScanError(
-            f"asset format {info.get('format')} is not {FORMAT_VERSION}",
+            f"asset format {found} is not {FORMAT_VERSION}",
             str(description),
             "prepare the scan again: scanrender prep",
         )
-    wanted = [name for name in info["maps"] if maps is None or name in maps]
+    listed = info.get("maps")
+    if not isinstance(listed, dict) or not set(listed) <= set(MAPS):
+        raise ScanError("the asset does not list its maps", str(description), "prepare it again")
+    wanted = [name for name in listed if maps is None or name in maps]
     return Asset(
         mesh=_read_glb(folder / "mesh.glb"),
         maps={name: _read_map(folder, name) for name in wanted},
@@ -145,7 +164,10 @@ def _write_map(folder: Path, name: str, pixels: images.Image) -> None:
 
 
 def _read_map(folder: Path, name: str) -> images.Image:
-    pixels = images.read_image(folder / MAPS[name].file)[:, :, : MAPS[name].channels]
+    path = folder / MAPS[name].file
+    pixels = images.read_image(path)[:, :, : MAPS[name].channels]
+    if pixels.shape[2] < MAPS[name].channels:
+        raise ScanError(f"{path} has too few channels", str(path), "prepare it again")
     if name == "albedo":
         return images.linear_from_srgb(pixels).astype(np.float32)
     if name == "normal_ts":
@@ -176,9 +198,7 @@ def _write_glb(path: Path, asset: Asset) -> None:
             gltf.BufferView(buffer=0, byteOffset=len(blob), byteLength=len(data), target=target)
         )
         document.accessors.append(
-            gltf.Accessor(
-                bufferView=index, componentType=component, count=len(array), type=kind
-            )
+            gltf.Accessor(bufferView=index, componentType=component, count=len(array), type=kind)
         )
         blob += data
     document.accessors[0].min, document.accessors[0].max = low.tolist(), high.tolist()
@@ -220,21 +240,21 @@ def _read_glb(path: Path) -> Mesh:
     try:
         document = gltf.GLTF2.load_binary(str(path))
         primitive = document.meshes[0].primitives[0]
+        attributes = primitive.attributes
         blob = document.binary_blob()
+
+        def array(index: int, dtype: Any, width: int) -> npt.NDArray[Any]:
+            accessor = document.accessors[index]
+            view = document.bufferViews[accessor.bufferView]
+            flat = np.frombuffer(blob, dtype, accessor.count * width, view.byteOffset or 0)
+            return flat.reshape(-1, width).copy()
+
+        return Mesh(
+            positions_mm=array(attributes.POSITION, np.float32, 3),
+            normals=array(attributes.NORMAL, np.float32, 3),
+            tangents=array(attributes.TANGENT, np.float32, 4),
+            uv=array(attributes.TEXCOORD_0, np.float32, 2),
+            faces=array(primitive.indices, np.uint32, 1).reshape(-1, 3),
+        )
     except Exception as error:  # pygltflib raises whatever its parser met
         raise ScanError(f"cannot read {path}: {error}", str(path), "prepare it again") from error
-
-    def array(index: int, dtype: Any, width: int) -> npt.NDArray[Any]:
-        accessor = document.accessors[index]
-        view = document.bufferViews[accessor.bufferView]
-        flat = np.frombuffer(blob, dtype, accessor.count * width, view.byteOffset or 0)
-        return flat.reshape(-1, width).copy()
-
-    attributes = primitive.attributes
-    return Mesh(
-        positions_mm=array(attributes.POSITION, np.float32, 3),
-        normals=array(attributes.NORMAL, np.float32, 3),
-        tangents=array(attributes.TANGENT, np.float32, 4),
-        uv=array(attributes.TEXCOORD_0, np.float32, 2),
-        faces=array(primitive.indices, np.uint32, 1).reshape(-1, 3),
-    )

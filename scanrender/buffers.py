@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -24,7 +24,8 @@ SUFFIXES: Mapping[Kind, str] = {"colour": "RGB", "vector": "XYZ", "scalar": "Y"}
 class BufferSpec:
     """One buffer: what it holds, in which space and unit, and how a healthy one looks.
 
-    `span` is the fixed range of the false-colour picture; None takes the 0.5 and 99.5 percentiles.
+    `premultiplied` buffers are multiplied by their mask (alpha) on the device, and divided by it
+    when they are dumped. `span` is the fixed range of the false-colour picture; None takes the 0.5 and 99.5 percentiles.
     """
 
     name: str
@@ -34,6 +35,7 @@ class BufferSpec:
     meaning: str
     healthy: str
     span: tuple[float, float] | None = None
+    premultiplied: bool = False
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -50,7 +52,8 @@ def _spec(
     healthy: str,
     span: tuple[float, float] | None = None,
 ) -> BufferSpec:
-    return BufferSpec(name, kind, space, unit, meaning, healthy, span)
+    masked = name in ("diffusion_input", "gaussian_0", "diffuse_horizontal")
+    return BufferSpec(name, kind, space, unit, meaning, healthy, span, masked)
 
 
 LINEAR = "lin_rec709_scene"
@@ -104,6 +107,9 @@ _SPECS = (
     _spec("curvature", "scalar", "view", "1/mm",
           "Mean curvature, smoothed along the surface.",
           "Nose tip and lips positive, eye sockets and nose wings negative.", (-0.1, 0.1)),
+    _spec("jacobian", "scalar", "screen", "1",
+          "Skin area that a pixel shows, relative to a facing pixel at the working distance.",
+          "1 in the middle of the face, rising smoothly toward silhouettes.", (0.0, 4.0)),
     _spec("kernel_px", "colour", "screen", "px",
           "Radius that holds 99.9 % of the diffusion profile, per channel, on screen.",
           "Nearly constant over the face; red several times blue."),
@@ -146,8 +152,7 @@ def buffer_spec(name: str) -> BufferSpec:
         return CATALOGUE[name]
     if _NUMBERED.match(name):
         family = CATALOGUE[f"{name.rsplit('_', 1)[0]}_0"]
-        return BufferSpec(name, family.kind, family.space, family.unit, family.meaning,
-                          family.healthy, family.span)
+        return replace(family, name=name)
     raise UsageError(
         f"no buffer is called {name!r}", fix="scanrender render ASSET --buffers list shows them"
     )

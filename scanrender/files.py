@@ -7,6 +7,7 @@ libraries choose their format by it.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -50,13 +51,16 @@ def atomic_folder(folder: Path | str) -> Iterator[Path]:
     """Yield an empty folder beside `folder`; on success it replaces `folder`, else it is gone.
 
     An existing `folder` is moved aside first and removed after the rename, so that there is no
-    moment at which a half-written folder carries the final name.
+    moment at which a half-written folder carries the final name; it comes back when the rename
+    fails. A file of that name is never replaced. Raises OutputError.
     """
     folder = Path(folder)
     make_folder(folder.parent)
     temporary = folder.with_name(f"{TEMPORARY_PREFIX}{uuid.uuid4().hex[:8]}-{folder.name}")
     retired = temporary.with_name(temporary.name + "-old")
     try:
+        if folder.exists() and not folder.is_dir():
+            raise FileExistsError(errno.EEXIST, "a file has that name")
         temporary.mkdir()
         yield temporary
         if folder.exists():
@@ -65,6 +69,8 @@ def atomic_folder(folder: Path | str) -> Iterator[Path]:
     except OSError as error:
         raise _cannot_write(folder, error) from error
     finally:
+        if retired.exists() and not folder.exists():
+            os.replace(retired, folder)
         shutil.rmtree(temporary, ignore_errors=True)
         shutil.rmtree(retired, ignore_errors=True)
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import OpenImageIO as oiio
+import OpenImageIO as oiio  # noqa: N813
 
 from scanrender.errors import OutputError, ScanError
 from scanrender.files import atomic_path
@@ -28,18 +28,18 @@ def srgb_from_linear(linear: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Encode linear values in [0, 1] with the sRGB transfer curve (IEC 61966-2-1)."""
     clipped = np.clip(linear, 0.0, 1.0)
     high = 1.055 * np.power(np.maximum(clipped, 0.0031308), 1 / 2.4) - 0.055
-    return np.where(clipped <= 0.0031308, 12.92 * clipped, high)
+    return np.asarray(np.where(clipped <= 0.0031308, 12.92 * clipped, high))
 
 
 def linear_from_srgb(encoded: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Decode sRGB values in [0, 1] to linear Rec.709 (IEC 61966-2-1)."""
     clipped = np.clip(encoded, 0.0, 1.0)
     high = np.power((np.maximum(clipped, 0.04045) + 0.055) / 1.055, 2.4)
-    return np.where(clipped <= 0.04045, clipped / 12.92, high)
+    return np.asarray(np.where(clipped <= 0.04045, clipped / 12.92, high))
 
 
 def read_image(path: Path | str) -> Image:
-    """All channels of the first subimage, as stored (no colour conversion), integers scaled to [0, 1].
+    """All channels of the first subimage as stored (no colour conversion), integers in [0, 1].
 
     Raises ScanError when the file is absent, unreadable, or too large to decode.
     """
@@ -65,12 +65,12 @@ def write_image(
     channels: Sequence[str] | None = None,
     attributes: Mapping[str, Any] | None = None,
 ) -> Path:
-    """Write (h, w, c) `pixels` with their own dtype (uint8, uint16, float16, float32), atomically."""
+    """Write (h, w, c) `pixels` with their own dtype (uint8, uint16, float16, float32)."""
     if pixels.ndim == 2:
         pixels = pixels[:, :, None]
     # OpenImageIO used to take wrong strides from non-contiguous arrays (OpenImageIO#4843).
-    pixels = np.ascontiguousarray(pixels)
     height, width, count = pixels.shape
+    data: Any = np.ascontiguousarray(pixels)
     spec = oiio.ImageSpec(width, height, count, oiio.TypeDesc(_OIIO_TYPES[pixels.dtype.name]))
     if channels is not None:
         spec.channelnames = tuple(channels)
@@ -80,7 +80,7 @@ def write_image(
         target = oiio.ImageOutput.create(str(temporary))
         if target is None:
             raise OutputError(f"cannot write image {path}: {oiio.geterror()}", where=str(path))
-        written = target.open(str(temporary), spec) and target.write_image(pixels)
+        written = target.open(str(temporary), spec) and target.write_image(data)
         error = target.geterror() if not written else ""
         if not (target.close() and written):
             raise OutputError(f"cannot write image {path}: {error}", where=str(path))

@@ -29,7 +29,8 @@ class Batch:
             raise self.failures[0][1]
         failed = ", ".join(f"{path.name} ({error.what})" for path, error in self.failures)
         raise BatchError(
-            f"{len(self.failures)} of {total} scans failed", where=failed,
+            f"{len(self.failures)} of {total} scans failed",
+            where=failed,
             fix="the others are complete; mend or leave out these and run again",
         )
 

@@ -84,8 +84,9 @@ def write_turntable(
                 write_frame_png(folder / name, frame)
                 written.files.append(name)
             if buffers:
-                written.files += write_buffers(folder, frame, index, outputs.exr_layout, buffers,
-                                               outputs.false_colour)
+                written.files += write_buffers(
+                    folder, frame, index, outputs.exr_layout, buffers, outputs.false_colour
+                )
             if index in contact:
                 tiles.append(Tile(_angle_label(renderer, index), _small(frame)))
             written.add_time("write", started)

@@ -15,8 +15,19 @@ from scanrender import __version__
 from scanrender.errors import DeviceError, ScanrenderError, StageError
 
 LIBRARIES = (
-    "numpy", "scipy", "moderngl", "OpenImageIO", "trimesh", "pymeshlab", "xatlas",
-    "fast-simplification", "libigl", "embreex", "DracoPy", "av", "pydantic",
+    "numpy",
+    "scipy",
+    "moderngl",
+    "OpenImageIO",
+    "trimesh",
+    "pymeshlab",
+    "xatlas",
+    "fast-simplification",
+    "libigl",
+    "embreex",
+    "DracoPy",
+    "av",
+    "pydantic",
 )
 APT_PYMESHLAB = "libgl1 libopengl0 libegl1 libglib2.0-0"
 
@@ -45,15 +56,24 @@ class Check:
 
 def run_checks() -> list[Check]:
     checks: list[Callable[[], Check]] = [
-        _python, _libraries, _gl, _video, _filters, _temporary_space
+        _python,
+        _libraries,
+        _gl,
+        _video,
+        _filters,
+        _temporary_space,
     ]
     return [check() for check in checks]
 
 
 def _python() -> Check:
     version = ".".join(str(part) for part in sys.version_info[:3])
-    return Check("scanrender", sys.version_info >= (3, 11), f"{__version__} on Python {version}",
-                 "" if sys.version_info >= (3, 11) else "use Python 3.11 or newer")
+    return Check(
+        "scanrender",
+        sys.version_info >= (3, 11),
+        f"{__version__} on Python {version}",
+        "" if sys.version_info >= (3, 11) else "use Python 3.11 or newer",
+    )
 
 
 def _libraries() -> Check:
@@ -102,11 +122,21 @@ def _filters() -> Check:
         answer = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
         missing = json.loads(answer.stdout.strip().splitlines()[-1])
     except (subprocess.TimeoutExpired, ValueError, IndexError):
-        return Check("pymeshlab", False, "it does not load", f"apt-get install {APT_PYMESHLAB}",
-                     StageError.exit_code)
+        return Check(
+            "pymeshlab",
+            False,
+            "it does not load",
+            f"apt-get install {APT_PYMESHLAB}",
+            StageError.exit_code,
+        )
     if missing:
-        return Check("pymeshlab", False, f"filters missing: {', '.join(missing)}",
-                     f"apt-get install {APT_PYMESHLAB}", StageError.exit_code)
+        return Check(
+            "pymeshlab",
+            False,
+            f"filters missing: {', '.join(missing)}",
+            f"apt-get install {APT_PYMESHLAB}",
+            StageError.exit_code,
+        )
     return Check("pymeshlab", True, f"all {len(FILTERS)} filters that are used are there")
 
 

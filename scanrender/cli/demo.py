@@ -11,8 +11,12 @@ from scanrender.cli import options
 
 @click.command("demo")
 @options.out("out/demo")
-@click.option("--triangles", default=400_000, show_default=True,
-              help="Size of the raw scan (50,000 to 5,000,000).")
+@click.option(
+    "--triangles",
+    default=400_000,
+    show_default=True,
+    help="Size of the raw scan (50,000 to 5,000,000).",
+)
 @click.option("--seed", default=0, show_default=True, help="Another seed is another scan.")
 @options.overrides
 @options.progress

@@ -87,7 +87,7 @@ def main() -> None:
         # The reader of our output went away (scanrender schema | head): not an error of ours.
         sys.stderr.close()
         code = 0
-    except Exception as error:  # noqa: BLE001  the border: no traceback reaches a user unasked
+    except Exception as error:
         if debug:
             raise
         click.echo(

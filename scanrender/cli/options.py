@@ -22,14 +22,21 @@ def debug(command: F) -> F:
 
 def overrides(command: F) -> F:
     return click.option(
-        "--set", "overrides", multiple=True, metavar="KEY=VALUE",
+        "--set",
+        "overrides",
+        multiple=True,
+        metavar="KEY=VALUE",
         help="Override one setting, e.g. --set camera.width_px=1080. Repeatable.",
     )(command)
 
 
 def progress(command: F) -> F:
     return click.option(
-        "--progress", "progress_kind", type=click.Choice(KINDS), default="auto", show_default=True,
+        "--progress",
+        "progress_kind",
+        type=click.Choice(KINDS),
+        default="auto",
+        show_default=True,
         help="How progress is shown, on stderr (openjd: on stdout).",
     )(command)
 
@@ -42,7 +49,10 @@ def as_json(command: F) -> F:
 
 def out(default: str) -> Callable[[F], F]:
     return click.option(
-        "--out", type=click.Path(path_type=Path), default=Path(default), show_default=True,
+        "--out",
+        type=click.Path(path_type=Path),
+        default=Path(default),
+        show_default=True,
         help="Folder for the results.",
     )
 

@@ -12,8 +12,12 @@ from scanrender.cli import options
 
 @click.command("prep")
 @click.argument("scan", type=click.Path(path_type=Path))
-@click.option("--pipeline", default="prep_only", show_default=True,
-              help="Pipeline file or shipped name that holds the settings.")
+@click.option(
+    "--pipeline",
+    default="prep_only",
+    show_default=True,
+    help="Pipeline file or shipped name that holds the settings.",
+)
 @options.overrides
 @options.out("out/asset")
 @click.option("--as-is", is_flag=True, help="Keep the raw triangles: no simplify, no unwrap.")
@@ -46,7 +50,8 @@ def command(
         return
     low, high = asset.mesh.bounds_mm
     size = " x ".join(f"{side:.0f}" for side in high - low)
-    click.echo(f"{out}/: {len(asset.mesh.faces):,} triangles, {size} mm, "
-               f"maps: {', '.join(asset.maps)}")
+    click.echo(
+        f"{out}/: {len(asset.mesh.faces):,} triangles, {size} mm, maps: {', '.join(asset.maps)}"
+    )
     for sentence in asset.info.get("warnings", []):
         click.echo(f"  warning: {sentence}")

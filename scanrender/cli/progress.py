@@ -36,8 +36,11 @@ def _bars() -> Iterator[Progress]:
     from rich.progress import Progress as Bars
 
     columns = (
-        TextColumn("{task.description:>12}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(), TimeRemainingColumn(),
+        TextColumn("{task.description:>12}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
     )
     with Bars(*columns, console=Console(stderr=True)) as bars:
         tasks: dict[str, TaskID] = {}
@@ -51,15 +54,15 @@ def _bars() -> Iterator[Progress]:
 
 
 def _plain() -> Progress:
-    last = {"stage": "", "at": 0.0}
+    last_stage, last_at = "", 0.0
     started = time.monotonic()
 
     def show(stage: str, fraction: float) -> None:
+        nonlocal last_stage, last_at
         now = time.monotonic()
-        due = stage != last["stage"] or fraction >= 1.0 or now - float(last["at"]) > PLAIN_EVERY_S
-        if due:
+        if stage != last_stage or fraction >= 1.0 or now - last_at > PLAIN_EVERY_S:
             click.echo(f"[{now - started:6.1f} s] {stage}: {fraction:4.0%}", err=True)
-            last.update(stage=stage, at=now)
+            last_stage, last_at = stage, now
 
     return show
 

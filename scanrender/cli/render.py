@@ -12,12 +12,21 @@ from scanrender.cli import options
 
 @click.command("render")
 @click.argument("asset", type=click.Path(path_type=Path))
-@click.option("--pipeline", default="turntable", show_default=True,
-              help="Pipeline file or shipped name that holds the settings.")
+@click.option(
+    "--pipeline",
+    default="turntable",
+    show_default=True,
+    help="Pipeline file or shipped name that holds the settings.",
+)
 @options.overrides
 @options.out("out/render")
-@click.option("--frames", metavar="A-B", default="0", show_default=True,
-              help="Frames of the turntable (0-based, inclusive); `all` adds video and sheet.")
+@click.option(
+    "--frames",
+    metavar="A-B",
+    default="0",
+    show_default=True,
+    help="Frames of the turntable (0-based, inclusive); `all` adds video and sheet.",
+)
 @click.option("--buffers", metavar="NAMES", help="list, all, or names: a,b,c.")
 @options.progress
 @options.as_json
@@ -65,8 +74,9 @@ def _list_buffers(asset: Path, settings: object, as_json: bool) -> None:
     renderer = Renderer(device(), load_asset(asset, RENDERED_MAPS), settings)
     specs = [buffer_spec(name) for name in renderer.buffer_names]
     if as_json:
-        rows = [{"name": s.name, "unit": s.unit, "space": s.space, "meaning": s.meaning}
-                for s in specs]
+        rows = [
+            {"name": s.name, "unit": s.unit, "space": s.space, "meaning": s.meaning} for s in specs
+        ]
         click.echo(json.dumps(rows, indent=2))
         return
     for spec in specs:

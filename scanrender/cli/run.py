@@ -40,7 +40,9 @@ def command(
 
     settings = load_pipeline(pipeline, overrides)
     if not scans:
-        raise UsageError("run needs at least one scan", fix="scanrender run PIPELINE SCAN --out OUT")
+        raise UsageError(
+            "run needs at least one scan", fix="scanrender run PIPELINE SCAN --out OUT"
+        )
     for scan in scans:
         options.existing(scan, "scan")
     chosen = options.frame_range(frames, settings.turntable.frames)

@@ -81,12 +81,13 @@ class Device:
 def bind(program: moderngl.Program, uniforms: Mapping[str, Any]) -> None:
     """Set uniforms and textures by name. Names that the compiler removed as unused are skipped.
 
-    `bytes` are an array in the program's own layout; 4x4 matrices are given in mathematical order (row, column); GL wants columns first.
+    `bytes` are an array in the program's own layout. 4x4 matrices are given in mathematical order
+    (row, column); GL wants columns first.
     """
     unit = 0
     for name, value in uniforms.items():
         is_texture = isinstance(value, moderngl.Texture | moderngl.Texture3D)
-        member = program.get(name, None)
+        member: Any = program.get(name, None)
         if member is None:
             continue
         if is_texture:
@@ -108,11 +109,13 @@ def device() -> Device:
     """The process's device, created on first use. Raises DeviceError when there is no usable GL."""
     problems = []
     # Slim images carry no unversioned libGL.so/libEGL.so, which is what glcontext asks for first.
-    for names in ({"libgl": "libGL.so.1", "libegl": "libEGL.so.1"}, {}):
+    attempts: list[Any] = [
+        {"backend": "egl", "libgl": "libGL.so.1", "libegl": "libEGL.so.1"},
+        {"backend": "egl"},
+    ]
+    for names in attempts:
         try:
-            context = moderngl.create_context(
-                standalone=True, require=REQUIRED_GL, backend="egl", **names
-            )
+            context = moderngl.create_context(standalone=True, require=REQUIRED_GL, **names)
         except Exception as error:  # noqa: BLE001  glcontext raises bare Exceptions
             problems.append(str(error))
             continue

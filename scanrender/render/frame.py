@@ -194,5 +194,9 @@ def _family(name: str, order: dict[str, int]) -> int:
 
 
 def _channels(name: str, array: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    count = 1 if buffer_spec(name).kind == "scalar" else 3
+    spec = buffer_spec(name)
+    count = 1 if spec.kind == "scalar" else 3
+    if spec.premultiplied:
+        mask = array[:, :, 3:]
+        array = np.divide(array, mask, out=np.zeros_like(array), where=mask > 0.0)
     return np.ascontiguousarray(array[:, :, :count])

@@ -171,9 +171,11 @@ class Graph:
     ) -> None:
         target = pool.framebuffer([live[b.name] for b in step.writes], step.depth_test)
         target.use()
-        target.scissor = None
-        for attachment, buffer in enumerate(step.writes):
-            _clear(device, target, attachment, buffer)
+        everywhere(target)
+        # One call clears every attachment and the depth. Only a shadow map has another value than
+        # 0, and it is the single attachment of its pass.
+        value = step.writes[0].clear
+        target.clear(value, value, value, value, depth=1.0)
         context = device.context
         context.disable(moderngl.BLEND)
         if step.depth_test:
@@ -182,13 +184,9 @@ class Graph:
             context.disable(moderngl.DEPTH_TEST)
             target.scissor = shot.scissor
         step.draw(shot, {name: live[name] for name in step.reads}, target)
-        target.scissor = None
+        everywhere(target)
 
 
-def _clear(
-    device: Device, target: moderngl.Framebuffer, attachment: int, buffer: Buffer
-) -> None:
-    if attachment == 0:
-        # One clear call sets every attachment and the depth; others only need their own value
-        # where it differs, which the far value of a shadow map (a single attachment) does.
-        target.clear(buffer.clear, buffer.clear, buffer.clear, buffer.clear, depth=1.0)
+def everywhere(target: moderngl.Framebuffer) -> None:
+    """Lift the scissor (moderngl's stub does not know that it takes None)."""
+    target.scissor = None  # type: ignore[assignment]

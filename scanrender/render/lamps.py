@@ -62,7 +62,7 @@ class Lamp:
 
 
 def resolve_lights(lights: Sequence[Light], radius_mm: float) -> tuple[list[Lamp], Vector]:
-    """Lamps that could light a subject inside `radius_mm` of the origin, and the ambient RGB sum."""
+    """Lamps around a subject inside `radius_mm` of the origin, and the ambient RGB sum."""
     lamps: list[Lamp] = []
     ambient = np.zeros(3)
     for light in lights:

@@ -23,7 +23,12 @@ from scanrender.settings.skin import SkinSettings
 RHO_TABLE_SIZE = 64
 # What a scan without a map gets: (components, value). Thickness has no neutral value and no pass
 # reads it yet.
-NEUTRAL_MAPS = {"albedo": (0.5, 0.5, 0.5), "normal_ts": (0.0, 0.0, 1.0), "ao": (1.0,), "skin": (1.0,)}
+NEUTRAL_MAPS = {
+    "albedo": (0.5, 0.5, 0.5),
+    "normal_ts": (0.0, 0.0, 1.0),
+    "ao": (1.0,),
+    "skin": (1.0,),
+}
 
 
 @dataclass(frozen=True)
@@ -31,8 +36,8 @@ class Shot:
     """One sample of one frame: matrices (float64, `target_from_source`) and the pixels it fills.
 
     `size` is (width, height) in px with the guard band; `scissor` the (x, y, w, h) in GL's
-    bottom-up pixels that the subject can touch; `near_mm` the least depth it can have. `sample` numbers
-    the supersample.
+    bottom-up pixels that the subject can touch; `near_mm` the least depth it can have. `sample`
+    numbers the supersample.
     """
 
     size: tuple[int, int]
@@ -41,6 +46,7 @@ class Shot:
     world_from_object: Matrix
     clip_from_view: Matrix
     near_mm: float
+    working_distance_mm: float
     sample: int
     guard_px: int
 
@@ -121,7 +127,7 @@ class Scene:
 
     @cached_property
     def directional_albedo(self) -> moderngl.Texture:
-        """Row over cos theta in [0, 1]: what the specular lobes reflect, rho_s rho_dt(cos theta)."""
+        """Row over cos theta in [0, 1]: what the specular lobes reflect, rho_dt(cos theta)."""
         return self.device.table(self._rho.reshape(1, -1, 1), linear=True)
 
     @cached_property
@@ -165,8 +171,15 @@ class Scene:
             (width, height),
         )
         return Shot(
-            (width, height), scissor, view_from_world, world_from_object, clip_from_view,
-            camera.near_mm, sample, guard_px,
+            (width, height),
+            scissor,
+            view_from_world,
+            world_from_object,
+            clip_from_view,
+            camera.near_mm,
+            camera.distance_mm,
+            sample,
+            guard_px,
         )
 
     def _map(self, name: str) -> moderngl.Texture:
@@ -210,8 +223,14 @@ def _screen_bounds(
 ) -> tuple[int, int, int, int]:
     """(x, y, w, h) in bottom-up pixels that can show the mesh; everything when it surrounds us."""
     low, high = positions_mm.min(axis=0), positions_mm.max(axis=0)
-    corners = np.array([[x, y, z, 1.0] for x in (low[0], high[0]) for y in (low[1], high[1])
-                        for z in (low[2], high[2])])
+    corners = np.array(
+        [
+            [x, y, z, 1.0]
+            for x in (low[0], high[0])
+            for y in (low[1], high[1])
+            for z in (low[2], high[2])
+        ]
+    )
     clip = corners @ clip_from_object.T
     whole = (0, 0, *size)
     if (clip[:, 3] <= 1e-6).any():

@@ -8,10 +8,11 @@ test holds its error against OpenColorIO itself.
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import OpenImageIO as oiio
+import OpenImageIO as oiio  # noqa: N813
 
 from scanrender.errors import StageError
 from scanrender.settings.shot import ViewSettings
@@ -26,11 +27,10 @@ TABLE_SIZE = 64
 LOG2_RANGE = (-12.0, 6.0)
 
 
-def apply_view(
-    linear: npt.NDArray[np.float32], transform: str
-) -> npt.NDArray[np.float32]:
+def apply_view(linear: npt.NDArray[np.float32], transform: str) -> npt.NDArray[np.float32]:
     """Scene-linear Rec.709 (h, w, 3) to display values by OpenColorIO itself, no table."""
-    source = oiio.ImageBuf(np.ascontiguousarray(linear, dtype=np.float32))
+    pixels: Any = np.ascontiguousarray(linear, dtype=np.float32)
+    source = oiio.ImageBuf(pixels)
     shown = oiio.ImageBufAlgo.ociodisplay(
         source, DISPLAY, VIEWS[transform], SCENE_SPACE, "", False, colorconfig=OCIO_CONFIG
     )

@@ -23,8 +23,8 @@ def setting(
     default: Any, sentence: str, *, unit: str, ge: float | None = None, le: float | None = None
 ) -> Any:
     """A documented field. `unit` is "1" for a plain number and "" where the value is a word."""
-    extra = {"unit": unit} if unit else {}
-    return Field(default, description=sentence, ge=ge, le=le, json_schema_extra=extra or None)
+    extra: Any = {"unit": unit} if unit else None
+    return Field(default, description=sentence, ge=ge, le=le, json_schema_extra=extra)
 
 
 Vector3 = tuple[float, float, float]

@@ -130,7 +130,9 @@ def _plain(node: Any, key: Key, path: Path, places: dict[Key, str]) -> Any:
         result = {}
         for name, value in node.items():
             if not isinstance(name, str):
-                raise ConfigError(f"keys are words, not {name!r}", where=f"{path}:{node.lc.line+1}")
+                raise ConfigError(
+                    f"keys are words, not {name!r}", where=f"{path}:{node.lc.line + 1}"
+                )
             places[(*key, name)] = f"{path}:{node.lc.key(name)[0] + 1}"
             result[name] = _plain(value, (*key, name), path, places)
         return result
@@ -227,13 +229,12 @@ def _explain(problem: Any, layer: _Layer, source: str) -> ConfigError:
 def _real_key(location: Sequence[str | int], data: Any) -> Key:
     key: list[str | int] = []
     for part in location:
-        if isinstance(data, dict) and part in data:
+        inside = (isinstance(data, dict) and part in data) or (
+            isinstance(data, list) and isinstance(part, int) and part < len(data)
+        )
+        if inside:
             data = data[part]
-        elif isinstance(data, list) and isinstance(part, int) and part < len(data):
-            data = data[part]
-        else:
-            continue
-        key.append(part)
+            key.append(part)
     missing = location[-1] if location else None
     if isinstance(missing, str) and isinstance(data, dict) and missing not in key:
         key.append(missing)
@@ -243,17 +244,27 @@ def _real_key(location: Sequence[str | int], data: Any) -> Key:
 def _fields_at(key: Key, data: Any) -> list[str]:
     model: Any = Pipeline
     for part in key:
-        data = data[part] if isinstance(data, dict | list) else {}
+        data = _item(data, part)
         model = _model_of(model, part, data)
     return [*model.model_fields, *(["extends"] if not key else [])]
+
+
+def _item(data: Any, part: str | int) -> Any:
+    if isinstance(data, list) and isinstance(part, int) and part < len(data):
+        return data[part]
+    return data.get(part) if isinstance(data, dict) else None
 
 
 def _model_of(model: Any, part: str | int, data: Any) -> Any:
     """The section model under `part`; a list item is chosen by its `type`."""
     if isinstance(part, int):
         kind = data.get("type") if isinstance(data, dict) else None
-        fits = [m for m in model if m.model_fields.get("type", None) is None
-                or kind in get_args(m.model_fields["type"].annotation)]
+        fits = [
+            m
+            for m in model
+            if m.model_fields.get("type", None) is None
+            or kind in get_args(m.model_fields["type"].annotation)
+        ]
         return (fits or model)[0]
     models = _models_in(model.model_fields[part].annotation)
     return models if isinstance(data, list) else models[0]

@@ -16,9 +16,7 @@ class OutputSettings(Section):
     contact_frames: int = setting(
         12, "Pictures on the contact sheet, spread over the turn.", unit="1", ge=1, le=200
     )
-    buffers: tuple[str, ...] = setting(
-        (), "Buffers to dump, by name; `all` is every one.", unit=""
-    )
+    buffers: tuple[str, ...] = setting((), "Buffers to dump, by name; `all` is every one.", unit="")
     buffer_frames: tuple[int, ...] = setting(
         (0,), "Frames whose buffers are dumped (0-based).", unit=""
     )

@@ -87,9 +87,7 @@ class BakeSettings(Section):
     ao_distance_mm: float = setting(
         80.0, "Surfaces further than this do not occlude.", unit="mm", ge=0.1, le=10_000
     )
-    thickness_rays: int = setting(
-        16, "Rays per vertex for thickness.", unit="rays", ge=1, le=1024
-    )
+    thickness_rays: int = setting(16, "Rays per vertex for thickness.", unit="rays", ge=1, le=1024)
     default_albedo: tuple[float, float, float] = setting(
         (0.55, 0.34, 0.25),
         "Albedo of a scan that has no colour at all (linear Rec.709).",

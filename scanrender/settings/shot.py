@@ -13,7 +13,11 @@ class CameraSettings(Section):
     width_px: int = setting(720, "Width of the picture.", unit="px", ge=1, le=16384)
     height_px: int = setting(720, "Height of the picture.", unit="px", ge=1, le=16384)
     focal_mm: float = setting(
-        85.0, "Focal length on a 24 mm high sensor; 85 is a portrait lens.", unit="mm", ge=2, le=2000
+        85.0,
+        "Focal length on a 24 mm high sensor; 85 is portrait.",
+        unit="mm",
+        ge=2,
+        le=2000,
     )
     fill: float = setting(
         0.92,

@@ -25,7 +25,8 @@ class SpecularSettings(Section):
         0.028, "Reflectance at normal incidence (0.028 is skin oil, n = 1.4).", unit="1", ge=0, le=1
     )
     roughness: tuple[PositiveFloat, PositiveFloat] = setting(
-        (0.38, 0.22), "Root mean square slope m of each lobe: 0.1 wet, 0.3 skin, 0.6 matt.",
+        (0.38, 0.22),
+        "Root mean square slope m of each lobe: 0.1 wet, 0.3 skin, 0.6 matt.",
         unit="1",
     )
     second_lobe: float = setting(
@@ -70,9 +71,7 @@ class SkinSettings(Section):
         "of Gaussians whose weights sum to 1 per channel.",
         unit="",
     )
-    scale: float = setting(
-        1.0, "Multiplies every length of the profile.", unit="1", ge=0, le=1000
-    )
+    scale: float = setting(1.0, "Multiplies every length of the profile.", unit="1", ge=0, le=1000)
     texturing: Literal["pre", "mixed", "post"] = setting(
         "mixed",
         "When albedo multiplies light: before diffusion (soft texture), half before and half "
@@ -101,8 +100,11 @@ class DiffusionSettings(Section):
     samples: int = setting(
         17, "Taps per Gaussian and direction; any number.", unit="taps", ge=3, le=255
     )
-    halo: Literal["none", "depth"] = setting(
-        "depth", "`depth` keeps light from crossing depth steps; `none` shows the halos.", unit=""
+    halo: Literal["none", "depth", "measure"] = setting(
+        "measure",
+        "What keeps light from crossing depth steps: nothing, Jimenez' correction, or the true "
+        "measure of distance and area on the surface.",
+        unit="",
     )
     mask: Literal["none", "skin"] = setting(
         "skin",
@@ -117,5 +119,3 @@ class CurvatureSettings(Section):
     smooth_mm: float = setting(
         2.0, "Radius of the smoothing along the surface.", unit="mm", ge=0, le=50
     )
-
-

@@ -50,7 +50,5 @@ def _terms(scene: Scene) -> list[tuple[str, tuple[float, float, float], int]]:
         return [("diffusion_input", WHITE, NO_MASK)]
     masked = scene.uses_skin_map
     blend = SKIN_SHARE if masked else NO_MASK
-    levels = [
-        (f"gaussian_{k}", weight, blend) for k, weight in enumerate(scene.profile.weights)
-    ]
+    levels = [(f"gaussian_{k}", weight, blend) for k, weight in enumerate(scene.profile.weights)]
     return [*levels, *([("diffusion_input", WHITE, OTHER_SHARE)] if masked else [])]

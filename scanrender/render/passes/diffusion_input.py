@@ -10,23 +10,24 @@ from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
 from scanrender.render.scene import Scene, Shot
 
-READS = ("irradiance", "albedo", "skin")
-
 
 def passes(scene: Scene) -> list[Pass]:
+    by_area = scene.pipeline.diffusion.halo == "measure"
+    reads = ("irradiance", "albedo", "skin", *(["jacobian"] if by_area else []))
+
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
         program = scene.device.program("diffusion_input")
-        uniforms = {name: inputs[name] for name in READS}
         bind(
             program,
             {
-                **uniforms,
+                **inputs,
                 "albedo_power": scene.albedo_power,
                 "use_skin": scene.uses_skin_map,
+                "use_jacobian": by_area,
             },
         )
         scene.device.fill(program)
 
-    return [Pass("diffusion_input", READS, (Buffer("diffusion_input"),), draw)]
+    return [Pass("diffusion_input", reads, (Buffer("diffusion_input"),), draw)]

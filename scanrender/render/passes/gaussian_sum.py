@@ -12,9 +12,9 @@ from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
 from scanrender.render.scene import Scene, Shot
 
-
 # Size of the shader's array; `diffusion.samples` is bounded by it.
 MAX_TAPS = 255
+HALO = {"none": 0, "depth": 1, "measure": 2}
 # A Gaussian is empty beyond this many sigma (0.3 % of it).
 REACH_SIGMA = 3.0
 
@@ -64,7 +64,7 @@ def _direction(
                 "direction": direction,
                 "sigma_mm": sigma_mm,
                 "px_per_mm_at_1mm": shot.px_per_mm_at_1mm,
-                "depth_correction": diffusion.halo == "depth",
+                "halo": HALO[diffusion.halo],
             },
         )
         texture.filter = (moderngl.LINEAR, moderngl.LINEAR)

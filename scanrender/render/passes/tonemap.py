@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import moderngl
 
 from scanrender.render.device import bind
-from scanrender.render.graph import Buffer, Pass
+from scanrender.render.graph import Buffer, Pass, everywhere
 from scanrender.render.scene import Scene, Shot
 from scanrender.render.view import LOG2_RANGE, TABLE_SIZE
 
@@ -31,7 +31,7 @@ def passes(scene: Scene) -> list[Pass]:
             },
         )
         # The background lies outside the subject's bounds.
-        target.scissor = None
+        everywhere(target)
         scene.device.fill(program)
 
     return [Pass("tonemap", ("beauty",), (Buffer("display"),), draw)]

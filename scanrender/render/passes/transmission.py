@@ -30,21 +30,26 @@ def passes(scene: Scene) -> list[Pass]:
     ) -> None:
         device = scene.device
         program = device.program("transmission")
-        common = {name: inputs[name] for name in SURFACE}
-        common.update(_material(scene), profile=profile, profile_count=len(rows))
+        common = {**{name: inputs[name] for name in SURFACE}, **_material(scene)}
+        common |= {"profile": profile, "profile_count": len(rows)}
         for number, lamp in enumerate(lamps):
             if number == 1:
                 # Later lamps add their light but must leave the first one's thickness alone.
                 device.context.enable(moderngl.BLEND)
                 device.context.blend_func = moderngl.ONE, moderngl.ONE
-                target.color_mask = ((True,) * 4, (False,) * 4, (False,) * 4)
+                _write_to(target, True, False, False)
             bind(program, {**common, **_lamp_uniforms(scene, lamp, shot, inputs)})
             device.fill(program)
-        target.color_mask = ((True,) * 4,) * 3
+        _write_to(target, True, True, True)
 
     reads = (*SURFACE, *(f"shadow_{lamp.index}" for lamp in lamps))
     writes = (Buffer("transmission"), Buffer("thickness_mm", components=1), Buffer("transmittance"))
     return [Pass("transmission", reads, writes, draw)]
+
+
+def _write_to(target: moderngl.Framebuffer, *attachments: bool) -> None:
+    """Which attachments take colour (moderngl's stub knows only the form for one)."""
+    target.color_mask = tuple((on,) * 4 for on in attachments)  # type: ignore[assignment]
 
 
 def _lamp_uniforms(

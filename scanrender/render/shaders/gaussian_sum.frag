@@ -6,8 +6,10 @@
 // Radius on screen: px = mm 0.5 H P11 / z: independent of distance, field of view, aspect and
 // resolution. Below 0.7 px the three-tap kernel [v/2, 1-v, v/2] has exactly the variance wanted and
 // tends to the identity; above it the bilinear fetch's own variance of 1/6 px^2 is taken off.
-// halo = depth: Jimenez' correction, the tap fades to the centre's value across a depth step. The
-// fade is exp(-dz^2 / 2v), the Gaussian's own third dimension, so it has no scale constant.
+// Across a depth step dz a tap counts exp(-dz^2 / 2v), the Gaussian's own third dimension, so there
+// is no scale constant. halo = depth: Jimenez' correction, what is lost goes to the centre.
+// halo = measure: it is lost to the normalization (with diffusion_input's jacobian, a mean over the
+// surface: exact on planes tilted about a screen axis; Mikkelsen 2010).
 // Check alone: constant irradiance stays constant; gaussian_k is softer than gaussian_{k-1}.
 uniform sampler2D source;
 uniform sampler2D depth_mm;      // -z, 0 where there is no surface
@@ -16,7 +18,7 @@ uniform int tap_count;
 uniform vec2 direction;          // (1,0) or (0,1)
 uniform float sigma_mm;          // of this increment
 uniform float px_per_mm_at_1mm;
-uniform bool depth_correction;
+uniform int halo;                // 0 none, 1 depth, 2 measure
 
 layout(location = 0) out vec4 blurred;
 
@@ -27,11 +29,12 @@ float centre_z;
 float inverse_two_v;
 
 vec4 faded(vec4 tap, ivec2 texel) {
-    if (!depth_correction) return tap;
+    if (halo == 0) return tap;
     float z = texelFetch(depth_mm, clamp(texel, ivec2(0), last), 0).r;
     // Where nothing was drawn there is no depth; its mask of 0 already keeps it out.
     float dz = z > 0.0 ? z - centre_z : 0.0;
-    return mix(centre, tap, exp(-dz * dz * inverse_two_v));
+    float near = exp(-dz * dz * inverse_two_v);
+    return halo == 1 ? mix(centre, tap, near) : near * tap;
 }
 
 void main() {
@@ -59,6 +62,8 @@ void main() {
             sum += tap.y * faded(texture(source, at * inverse_size), ivec2(floor(at)));
         }
     }
+    // The centre's own range weight is 1: the sum cannot vanish, even with an even number of taps.
+    sum += 1e-5 * centre;
     // Normalized by the mask that was met; premultiplied again by the pixel's own.
     blurred = vec4(sum.rgb * (centre.a / max(sum.a, 1e-8)), centre.a);
 }
