@@ -10,6 +10,14 @@ struct LightPoint {
     float mm_per_uv; // width of the map at this depth, mm
 };
 
+// Depth gradient (mm per mm) in the light's view of the plane with this normal (view space).
+// Clamped at grazing: no raw 1/cos.
+vec2 plane_slope(vec3 normal) {
+    vec3 n = mat3(light_from_view) * normal;
+    float facing = n.z < 0.0 ? min(n.z, -0.15) : max(n.z, 0.15);
+    return clamp(n.xy / facing, -4.0, 4.0);
+}
+
 LightPoint light_point(vec3 position) {
     vec4 in_light = light_from_view * vec4(position, 1.0);
     vec4 clip = clip_from_light * in_light;

@@ -46,6 +46,8 @@ void main() {
     if (p.a == 0.0) return;
     vec3 n = texelFetch(normal_geometry, here, 0).xyz;
     LightPoint inside = light_point(p.xyz - n * bias_mm);
+    // Taps beside the point meet its own tilted plane: its depth there, not the point's, counts.
+    vec2 slope = plane_slope(n);
 
     vec3 l = direction_to_light(p.xyz);
     bool away = dot(l, n) < 0.0;
@@ -56,8 +58,9 @@ void main() {
         float entry = texture(shadow_map, inside.uv + offset / inside.mm_per_uv).r;
         // Away from the light, a tap that enters deeper than the point itself (or nowhere) tells of
         // no path through skin: it counts as thick. On the lit side it is the lit face, 0 thick.
-        bool no_path = away && entry > inside.depth_mm + bias_mm;
-        float d = no_path ? far_mm : max(0.0, inside.depth_mm - entry);
+        float exit = inside.depth_mm + dot(slope, offset);
+        bool no_path = away && entry > exit + bias_mm;
+        float d = no_path ? far_mm : max(0.0, exit - entry);
         thickness += d;
         // Fading in over one more bias keeps the terminator smooth when `wrap` lights it.
         t += d >= far_mm ? vec3(0.0) : smoothstep(bias_mm, 2.0 * bias_mm, d) * transmittance_at(d);

@@ -23,9 +23,7 @@ void main() {
 
     // Leave the surface by 1.5 texels: what the map cannot resolve must not shadow itself.
     LightPoint lit = light_point(p.xyz + n * 1.5 * texel_mm);
-    vec3 n_light = mat3(light_from_view) * n;
-    // Depth gradient of the receiver's plane, mm per mm; clamped at grazing (no raw 1/cos).
-    vec2 slope = clamp(n_light.xy / max(n_light.z, 0.15), -4.0, 4.0);
+    vec2 slope = plane_slope(n);
     float radius_mm = max(blur_mm, texel_mm);
 
     float sum = 0.0;
