@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import moderngl
+import numpy as np
 
 from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
@@ -12,6 +14,8 @@ from scanrender.render.scene import Scene, Shot
 
 SURFACE = ("albedo", "skin", "position", "normal_shading")
 WHITE = (1.0, 1.0, 1.0)
+LEVELS_A_DRAW = 8
+Term = tuple[str, tuple[float, float, float], int]
 NO_MASK, SKIN_SHARE, OTHER_SHARE = 0, 1, 2
 
 
@@ -27,24 +31,31 @@ def passes(scene: Scene) -> list[Pass]:
         common["directional_albedo"] = scene.directional_albedo
         device.context.enable(moderngl.BLEND)
         device.context.blend_func = moderngl.ONE, moderngl.ONE
-        for name, weight, blend in terms:
-            bind(
-                program,
-                {
-                    **common,
-                    "level": inputs[name],
-                    "weight": weight,
-                    "blend": blend,
-                    "albedo_power": scene.albedo_power,
-                },
-            )
+        for first in range(0, len(terms), LEVELS_A_DRAW):
+            group = terms[first : first + LEVELS_A_DRAW]
+            # Samplers past the group repeat its first level: unused, but never unbound.
+            levels = [inputs[name] for name, _, _ in group]
+            levels += [levels[0]] * (LEVELS_A_DRAW - len(group))
+            uniforms: dict[str, Any] = {f"level_{k}": level for k, level in enumerate(levels)}
+            uniforms["weight"] = _weights(group)
+            uniforms["level_count"] = len(group)
+            uniforms["albedo_power"] = scene.albedo_power
+            bind(program, {**common, **uniforms})
             device.fill(program)
 
     reads = (*SURFACE, *(name for name, _, _ in terms))
     return [Pass("diffuse", reads, (Buffer("diffuse"),), draw)]
 
 
-def _terms(scene: Scene) -> list[tuple[str, tuple[float, float, float], int]]:
+def _weights(group: Sequence[Term]) -> bytes:
+    """vec4[LEVELS_A_DRAW] of (RGB weight, how the skin map shares it)."""
+    array = np.zeros((LEVELS_A_DRAW, 4), dtype=np.float32)
+    for row, (_, weight, blend) in zip(array, group, strict=False):
+        row[:] = (*weight, blend)
+    return array.tobytes()
+
+
+def _terms(scene: Scene) -> list[Term]:
     """(buffer, weight, how the skin map shares it) of everything that is added."""
     if scene.pipeline.diffusion.method == "none":
         return [("diffusion_input", WHITE, NO_MASK)]

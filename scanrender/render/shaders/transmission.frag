@@ -45,11 +45,13 @@ void main() {
     thickness_mm = 0.0;
     if (p.a == 0.0) return;
     vec3 n = texelFetch(normal_geometry, here, 0).xyz;
+    vec3 l = direction_to_light(p.xyz);
+    float back = max(0.0, wrap - dot(l, n));
+    if (back == 0.0) return;  // the lit face: nothing to cross
     LightPoint inside = light_point(p.xyz - n * bias_mm);
     // Taps beside the point meet its own tilted plane: its depth there, not the point's, counts.
     vec2 slope = plane_slope(n);
 
-    vec3 l = direction_to_light(p.xyz);
     bool away = dot(l, n) < 0.0;
     vec3 t = vec3(0.0);
     float thickness = 0.0;
@@ -69,7 +71,6 @@ void main() {
     t /= float(tap_count);
     transmittance = vec4(t, 1.0);
 
-    float back = max(0.0, wrap - dot(l, n));
     float s = use_skin ? texelFetch(skin, here, 0).r : 1.0;
     vec3 a = texelFetch(albedo, here, 0).rgb;
     transmission = vec4(a * t * incident_irradiance(p.xyz) * (back * s), 0.0);

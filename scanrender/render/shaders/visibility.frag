@@ -21,6 +21,9 @@ void main() {
     if (p.a == 0.0) { visibility = 0.0; return; }
     vec3 n = texelFetch(normal_geometry, here, 0).xyz;
 
+    // Turned well away: no light to ask for. Normal maps may turn a pixel back by less than this.
+    if (dot(n, to_light) < -0.5) { visibility = 0.0; return; }
+
     // Leave the surface by 1.5 texels: what the map cannot resolve must not shadow itself.
     LightPoint lit = light_point(p.xyz + n * 1.5 * texel_mm);
     vec2 slope = plane_slope(n);
