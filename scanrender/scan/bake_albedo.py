@@ -1,0 +1,143 @@
+"""Albedo from the raw scan's pages or vertex colours, supersampled in linear light."""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from scanrender.scan.pages import Page
+from scanrender.scan.project import Projector, Samples
+from scanrender.scan.rasterize import rasterize
+from scanrender.scan.raw import NO_PAGE
+from scanrender.scan.rays import CHUNK, Hits
+from scanrender.scan.surface import Surface
+from scanrender.scan.topology import face_areas
+
+Array = npt.NDArray[Any]
+
+
+class ColorSource:
+    """What colour the raw surface has at a hit. Faces without colour borrow the nearest one's."""
+
+    def __init__(
+        self, surface: Surface, pages: tuple[Page, ...], default: tuple[float, ...]
+    ) -> None:
+        self.surface, self.pages, self.default = surface, pages, np.asarray(default, np.float32)
+        textured = surface.page != NO_PAGE
+        if surface.corner_uv is not None:
+            textured &= np.isfinite(surface.corner_uv).all(axis=(1, 2))
+        self.kind = "none"
+        if pages and textured.any() and surface.corner_uv is not None:
+            self.kind = "texture"
+        elif surface.colors is not None:
+            self.kind = "vertex"
+        self.substitute = _substitutes(surface, textured) if self.kind == "texture" else None
+
+    def pixel_mm(self) -> float:
+        """Median size on the surface of a pixel of the pages, by area; infinite without pages."""
+        surface = self.surface
+        if self.kind != "texture" or surface.corner_uv is None:
+            return float("inf")
+        size = np.array([page.size for page in self.pages], np.float64)
+        used = np.flatnonzero((surface.page != NO_PAGE) & (size[surface.page].min(axis=1) > 1))
+        if not len(used):
+            return float("inf")
+        uv = surface.corner_uv[used] * size[surface.page[used]][:, None]
+        e1, e2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+        pixels = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
+        area = face_areas(surface.positions, surface.faces[used])
+        valid = np.isfinite(pixels) & (pixels > 1e-9)
+        order = np.argsort(area[valid] / pixels[valid])
+        passed = np.cumsum(area[valid][order])
+        middle = order[int(np.searchsorted(passed, 0.5 * passed[-1]))] if len(order) else 0
+        return float(np.sqrt((area[valid] / pixels[valid])[middle])) if len(order) else float("inf")
+
+    def shrunk(self, factor: int) -> ColorSource:
+        """The same source with its pages averaged over factor x factor pixels."""
+        if factor <= 1:
+            return self
+        smaller = copy(self)
+        smaller.pages = tuple(page.shrunk(factor) for page in self.pages)
+        return smaller
+
+    def at(self, hits: Hits) -> npt.NDArray[np.float32]:
+        """Linear Rec.709 (k, 3)."""
+        surface = self.surface
+        if self.kind == "none":
+            return np.broadcast_to(self.default, (len(hits.face), 3)).astype(np.float32)
+        if self.kind == "vertex":
+            assert surface.colors is not None
+            corners = surface.colors[surface.faces[hits.face]]
+            return np.asarray(np.einsum("kc,kcd->kd", hits.bary, corners), np.float32)
+        assert surface.corner_uv is not None
+        assert self.substitute is not None
+        face = self.substitute[hits.face]
+        borrowed = face != hits.face
+        bary = np.where(borrowed[:, None], np.float32(1 / 3), hits.bary)
+        uv = np.einsum("kc,kcd->kd", bary, surface.corner_uv[face])
+        page = surface.page[face]
+        out = np.empty((len(face), 3), np.float32)
+        for number in np.unique(page):
+            chosen = page == number
+            out[chosen] = self.pages[number].sample(uv[chosen])
+        return out
+
+
+def bake_albedo(source: ColorSource, samples: Samples) -> npt.NDArray[np.float32]:
+    """Linear colours (k, 3) at the texels of `samples`: one sample each."""
+    return np.concatenate([source.at(hits) for _, _, hits in samples.pieces()])
+
+
+def bake_albedo_supersampled(
+    projector: Projector, source: ColorSource, size: int, supersample: int
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_], float]:
+    """(size, size, 3) linear, the covered texels (size, size), and the share of nearest points."""
+    mesh = projector.mesh
+    texels = rasterize(mesh.uv, mesh.faces, size * supersample)
+    total = np.zeros((3, size * size))
+    weight = np.zeros(size * size)
+    missed = 0.0
+    for start in range(0, len(texels.index), CHUNK):
+        part = texels.rows(start, start + CHUNK)
+        hits, share = projector.project(part)
+        missed += share * len(part.index)
+        color = source.at(hits)
+        fine_row, fine_column = np.divmod(part.index, texels.size)
+        texel = (fine_row // supersample) * size + fine_column // supersample
+        # Samples come row by row: only a strip of the map is touched.
+        first, last = int(texel.min()), int(texel.max()) + 1
+        texel, count = texel - first, last - first
+        for channel in range(3):
+            total[channel, first:last] += np.bincount(texel, color[:, channel], count)
+        weight[first:last] += np.bincount(texel, minlength=count)
+    covered = weight > 0
+    albedo = (total / np.maximum(weight, 1.0)).T.astype(np.float32)
+    shape = (size, size)
+    return albedo.reshape(*shape, 3), covered.reshape(shape), missed / max(1, len(texels.index))
+
+
+def sampling(source_mm: float, texel_mm: float) -> tuple[int, int]:
+    """(supersampling, page shrink factor) for a map of texel_mm from an image of source_mm a pixel.
+
+    One sample suffices where the image is no finer than the map; beyond twice as fine, the image is
+    averaged first so that four samples still see all of it.
+    """
+    ratio = texel_mm / source_mm if source_mm > 0 else 1.0
+    supersample = 1 if ratio < 1.2 else 2
+    return supersample, max(1, int(ratio / supersample))
+
+
+def _substitutes(surface: Surface, textured: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+    """For each face itself if it is textured, else the textured face with the nearest centre."""
+    substitute = np.arange(len(surface.faces))
+    if not textured.all():
+        from scipy.spatial import cKDTree
+
+        centre = surface.positions[surface.faces].mean(axis=1)
+        candidates = np.flatnonzero(textured)
+        _, nearest = cKDTree(centre[candidates]).query(centre[~textured])
+        substitute[~textured] = candidates[nearest]
+    return substitute

@@ -1,0 +1,187 @@
+"""The container side of glTF 2.0: GLB chunks, buffers, accessors, images. No meshes here.
+
+Khronos glTF 2.0 specification, sections 3.6 (buffers and accessors) and 4 (GLB). Every reference
+is a data URI, a buffer view, or a file in the scan's own folder; nothing is fetched.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from scanrender.errors import ScanError
+from scanrender.scan.pages import Encoding, Page, read_page
+from scanrender.scan.safe_path import inside
+
+_COMPONENT = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_UNDERSTOOD = {
+    "KHR_draco_mesh_compression", "EXT_texture_webp", "KHR_mesh_quantization",
+    "KHR_texture_transform", "KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness",
+    "KHR_materials_specular", "KHR_materials_ior", "KHR_lights_punctual",
+    "KHR_materials_emissive_strength", "KHR_materials_clearcoat", "KHR_materials_sheen",
+    "KHR_materials_transmission", "KHR_materials_volume", "KHR_xmp_json_ld",
+    "KHR_materials_variants",
+}  # fmt: skip
+
+
+class GltfFile:
+    """A parsed .gltf or .glb; arrays and images on request."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.binary = b""
+        data = path.read_bytes()
+        text = self._chunks(data) if data[:4] == b"glTF" else data
+        try:
+            self.json: dict[str, Any] = json.loads(text)
+        except ValueError as error:
+            raise ScanError(f"{path.name} is not valid glTF JSON", str(path)) from error
+        if not isinstance(self.json, dict):
+            raise ScanError(f"{path.name} is not a glTF document", str(path))
+        unknown = set(self.json.get("extensionsRequired", [])) - _UNDERSTOOD
+        if unknown:
+            raise ScanError(
+                f"{path.name} requires {', '.join(sorted(unknown))}, which is not supported",
+                str(path),
+                "export it without that extension, or with Draco instead",
+            )
+        self._buffers: dict[int, bytes] = {}
+
+    def _chunks(self, data: bytes) -> bytes:
+        text = b""
+        declared = int.from_bytes(data[8:12], "little")
+        if len(data) < declared or len(data) < 20:
+            raise ScanError(
+                f"{self.path.name} is cut short: {len(data)} of {declared} bytes",
+                str(self.path),
+                "copy or export it again",
+            )
+        position = 12
+        while position + 8 <= declared:
+            size = int.from_bytes(data[position : position + 4], "little")
+            kind = data[position + 4 : position + 8]
+            content = data[position + 8 : position + 8 + size]
+            if kind == b"JSON":
+                text = content
+            elif kind == b"BIN\0":
+                self.binary = content
+            position += 8 + size
+        return text
+
+    def buffer(self, index: int) -> bytes:
+        if index not in self._buffers:
+            entry = self.json["buffers"][index]
+            uri = entry.get("uri")
+            content = self.binary if uri is None else self._referenced(uri)
+            if len(content) < entry["byteLength"]:
+                raise ScanError(
+                    f"{self.path.name}: buffer {index} is cut short",
+                    str(self.path),
+                    "copy all its files again",
+                )
+            self._buffers[index] = content
+        return self._buffers[index]
+
+    def view(self, index: int) -> bytes:
+        entry = self.json["bufferViews"][index]
+        start = entry.get("byteOffset", 0)
+        content = self.buffer(entry["buffer"])[start : start + entry["byteLength"]]
+        if len(content) < entry["byteLength"]:
+            raise ScanError(f"{self.path.name}: a buffer view leaves its buffer", str(self.path))
+        return content
+
+    def accessor(self, index: int) -> npt.NDArray[Any]:
+        """(count, width) values; normalised integers become floats; sparse ones are filled in."""
+        entry = self.json["accessors"][index]
+        width, count = _WIDTH[entry["type"]], entry["count"]
+        dtype = np.dtype(_COMPONENT[entry["componentType"]])
+        if count < 0 or count * width * dtype.itemsize > 1 << 36:
+            raise ScanError(f"{self.path.name}: an accessor of {count} elements", str(self.path))
+        if "bufferView" in entry:
+            values = self._strided(entry, dtype, width)
+        else:
+            values = np.zeros((count, width), dtype)
+        if "sparse" in entry:
+            values = self._sparse(entry["sparse"], values, dtype, width)
+        if entry.get("normalized") and dtype.kind in "iu":
+            limit = float(np.iinfo(dtype).max)
+            return np.asarray(np.maximum(values.astype(np.float32) / limit, -1.0))
+        return np.asarray(values)
+
+    def _strided(self, entry: dict[str, Any], dtype: np.dtype[Any], width: int) -> npt.NDArray[Any]:
+        view = self.json["bufferViews"][entry["bufferView"]]
+        content = self.view(entry["bufferView"])
+        offset, count = entry.get("byteOffset", 0), entry["count"]
+        stride = view.get("byteStride") or dtype.itemsize * width
+        if count and offset + stride * (count - 1) + dtype.itemsize * width > len(content):
+            raise ScanError(f"{self.path.name}: an accessor leaves its buffer", str(self.path))
+        return np.ndarray((count, width), dtype, content, offset, (stride, dtype.itemsize)).copy()
+
+    def _sparse(
+        self, sparse: dict[str, Any], values: npt.NDArray[Any], dtype: np.dtype[Any], width: int
+    ) -> npt.NDArray[Any]:
+        count = sparse["count"]
+        where, what = sparse["indices"], sparse["values"]
+        index = np.frombuffer(
+            self.view(where["bufferView"]),
+            _COMPONENT[where["componentType"]],
+            count,
+            where.get("byteOffset", 0),
+        )
+        new = np.frombuffer(
+            self.view(what["bufferView"]), dtype, count * width, what.get("byteOffset", 0)
+        )
+        values = values.copy()
+        values[index] = new.reshape(count, width)
+        return values
+
+    def page(self, texture: int, encoding: Encoding, notes: list[str]) -> Page | None:
+        """The image of a texture, or None (with a note) when it is missing or not decodable."""
+        entry = self.json["textures"][texture]
+        webp = entry.get("extensions", {}).get("EXT_texture_webp", {}).get("source")
+        source = webp if webp is not None else entry.get("source")
+        if source is None:
+            notes.append("a texture has no PNG, JPEG or WebP image: it is ignored")
+            return None
+        image = self.json["images"][source]
+        name = image.get("name") or f"image {source}"
+        uri = image.get("uri", "")
+        if "bufferView" not in image and not uri.startswith("data:"):
+            file = inside(self.path.parent, uri, self.path)
+            if not file.is_file():
+                notes.append(f"the image {uri} is missing")
+                return None
+            return read_page(file, encoding)
+        content = self.view(image["bufferView"]) if "bufferView" in image else self._referenced(uri)
+        return self._decoded(content, name, encoding, notes)
+
+    def _decoded(
+        self, content: bytes, name: str, encoding: Encoding, notes: list[str]
+    ) -> Page | None:
+        suffix = {b"\x89PNG": ".png", b"\xff\xd8\xff": ".jpg", b"RIFF": ".webp"}
+        kind = next((s for magic, s in suffix.items() if content.startswith(magic)), None)
+        if kind is None:
+            notes.append(f"{name} is neither PNG, JPEG nor WebP: it is ignored")
+            return None
+        # OpenImageIO's Python binding reads files only, so the bytes pass through one.
+        with tempfile.TemporaryDirectory(prefix="scanrender-") as folder:
+            file = Path(folder) / f"image{kind}"
+            file.write_bytes(content)
+            return read_page(file, encoding, name)
+
+    def _referenced(self, uri: str) -> bytes:
+        if uri.startswith("data:"):
+            return base64.b64decode(uri.split(",", 1)[1])
+        file = inside(self.path.parent, uri, self.path)
+        if not file.is_file():
+            raise ScanError(
+                f"{self.path.name} needs {uri}, which is missing", str(self.path), "copy it too"
+            )
+        return file.read_bytes()

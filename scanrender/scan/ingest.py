@@ -1,0 +1,146 @@
+"""Read a scan file of any supported kind into one RawMesh, or say in one sentence why not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from scanrender.errors import ScanError, UsageError
+from scanrender.scan.raw import NO_PAGE, RawMesh
+from scanrender.settings.scan import ScanSettings
+
+FORMATS = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
+_UNSUPPORTED = "export it as OBJ, PLY, GLB, glTF, STL or OFF"
+
+
+def read_scan(path: Path | str, settings: ScanSettings | None = None) -> RawMesh:
+    """Read, triangulate and validate. `settings` is accepted for symmetry: units are decided later.
+
+    Raises UsageError when the path is not there, ScanError when it is not a usable mesh.
+    """
+    path = Path(path)
+    check_header(path)
+    reader = _reader(path.suffix.lower())
+    try:
+        raw = reader(path)
+    except ScanError:
+        raise
+    except MemoryError as error:
+        raise ScanError(f"{path.name} does not fit into memory", str(path)) from error
+    except (ValueError, IndexError, KeyError, TypeError, OSError, OverflowError) as error:
+        raise ScanError(
+            f"{path.name} is damaged or not what its name says ({error})",
+            str(path),
+            "export it again from the scanning software",
+        ) from error
+    return _validated(raw, path)
+
+
+def check_header(path: Path) -> None:
+    """Refuse early, before loading, what cannot be a scan."""
+    if not path.exists():
+        raise UsageError(f"no such scan: {path}", str(path))
+    if path.is_dir():
+        raise ScanError(f"{path} is a folder, not a scan file", str(path), "name the mesh file")
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        kind = f"{suffix} files are" if suffix else "files without a suffix are"
+        raise ScanError(f"{kind} not supported", str(path), _UNSUPPORTED)
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(4096)
+    except OSError as error:
+        raise ScanError(f"cannot read {path.name}: {error.strerror}", str(path)) from error
+    if not head.strip():
+        raise ScanError(f"{path.name} is empty", str(path), "export it again")
+    magic = {".ply": b"ply", ".glb": b"glTF"}.get(suffix)
+    if magic and not head.lstrip().startswith(magic):
+        raise ScanError(
+            f"{path.name} does not begin like a {suffix[1:].upper()} file", str(path), _UNSUPPORTED
+        )
+    if head.startswith(b"version https://git-lfs"):
+        raise ScanError(f"{path.name} is a Git LFS pointer", str(path), "run: git lfs pull")
+
+
+def _reader(suffix: str) -> Callable[[Path], RawMesh]:
+    if suffix == ".obj":
+        from scanrender.scan.read_obj import read_obj
+
+        return read_obj
+    if suffix == ".ply":
+        from scanrender.scan.read_ply import read_ply
+
+        return read_ply
+    if suffix in (".glb", ".gltf"):
+        from scanrender.scan.read_gltf import read_gltf
+
+        return read_gltf
+    from scanrender.scan.read_simple import read_off, read_stl
+
+    return read_stl if suffix == ".stl" else read_off
+
+
+def _validated(raw: RawMesh, path: Path) -> RawMesh:
+    """Drop faces that name no vertex or a non-finite one; refuse a mesh with nothing left."""
+    notes = list(raw.notes)
+    where = str(path)
+    if len(raw.positions) == 0 or len(raw.faces) == 0:
+        what = "vertices" if len(raw.positions) == 0 else "faces (a point cloud?)"
+        raise ScanError(f"{path.name} has no {what}", where, "mesh it first, then export it again")
+    in_range = np.asarray(((raw.faces >= 0) & (raw.faces < len(raw.positions))).all(axis=1))
+    if not in_range.all():
+        notes.append(f"{int((~in_range).sum())} faces named vertices that do not exist: dropped")
+        raw = _take(raw, in_range)
+    finite = np.asarray(np.isfinite(raw.positions).all(axis=1))
+    # Beyond 1e30 float32 arithmetic overflows: as good as infinite.
+    finite &= np.abs(np.where(finite[:, None], raw.positions, 0.0)).max(axis=1) < 1e30
+    if not finite.all():
+        notes.append(f"{int((~finite).sum())} vertices are not finite: their faces are dropped")
+        raw = _take(raw, np.asarray(finite[raw.faces].all(axis=1)))
+    if len(raw.faces) == 0:
+        raise ScanError(f"{path.name} has no usable face", where, "export it again")
+    used = raw.positions[raw.faces.reshape(-1)]
+    if float(np.ptp(used, axis=0).max()) <= 0.0:
+        raise ScanError(f"{path.name} has no size: all its vertices coincide", where)
+    raw = _usable_pages(raw, notes)
+    if raw.colors is not None and _says_nothing(raw.colors):
+        raw = replace(raw, colors=None)
+    return replace(raw, notes=tuple(notes))
+
+
+def _usable_pages(raw: RawMesh, notes: list[str]) -> RawMesh:
+    """Texture coordinates for every face with a page: any will do for a page of one colour, and a
+    face without coordinates loses its image."""
+    page = np.full(len(raw.faces), NO_PAGE, np.int16) if raw.page is None else raw.page.copy()
+    if not raw.pages:
+        return replace(raw, page=page)
+    uv = raw.corner_uv
+    uv = np.full((len(raw.faces), 3, 2), np.nan, np.float32) if uv is None else uv.copy()
+    missing = ~np.isfinite(uv).all(axis=(1, 2))
+    plain = np.array([max(p.size) == 1 for p in raw.pages])
+    constant = (page != NO_PAGE) & plain[page]
+    uv[missing & constant] = 0.5
+    lost = missing & ~constant & (page != NO_PAGE)
+    if lost.any():
+        notes.append(f"{int(lost.sum())} faces have an image but no texture coordinates")
+        page[lost] = NO_PAGE
+    return replace(raw, page=page, corner_uv=uv)
+
+
+def _says_nothing(colors: npt.NDArray[Any]) -> bool:
+    """One colour for every vertex is an exporter's default, not a measurement."""
+    return float(np.ptp(colors, axis=0).max()) < 1e-3
+
+
+def _take(raw: RawMesh, mask: npt.NDArray[np.bool_]) -> RawMesh:
+    return replace(
+        raw,
+        faces=raw.faces[mask],
+        corner_uv=None if raw.corner_uv is None else raw.corner_uv[mask],
+        page=None if raw.page is None else raw.page[mask],
+    )

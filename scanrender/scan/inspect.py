@@ -1,0 +1,69 @@
+"""The health of a scan, without preparing it: what `scanrender inspect` and `validate` print."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scanrender.scan.floaters import drop_floaters
+from scanrender.scan.frame import find_frame
+from scanrender.scan.ingest import read_scan
+from scanrender.scan.raw import RawMesh
+from scanrender.scan.surface import surface_from_raw
+from scanrender.scan.topology import components, edges_of, face_areas
+from scanrender.scan.weld import drop_degenerate, drop_duplicates, weld
+from scanrender.settings.prep import CleanSettings
+from scanrender.settings.scan import ScanSettings
+
+
+def inspect_scan(path: Path | str, settings: ScanSettings | None = None) -> dict[str, Any]:
+    """Counts, size, inferred unit and axes, defects and colour of a scan, as plain JSON data.
+
+    Raises UsageError, ConfigError or ScanError as `read_scan` does.
+    """
+    settings = settings or ScanSettings()
+    raw = read_scan(path, settings)
+    welded = weld(surface_from_raw(raw))
+    sound = drop_degenerate(welded)
+    single = drop_duplicates(sound)
+    count, piece = components(single.faces, len(single.positions))
+    edges = edges_of(single.faces)
+    area = np.bincount(piece, face_areas(single.positions, single.faces), minlength=count)
+    main = drop_floaters(single, CleanSettings().floater_fraction)
+    frame = find_frame(raw, main.positions, main.faces, settings)
+    low, high = raw.positions.min(axis=0), raw.positions.max(axis=0)
+    extent = np.ptp(main.positions[np.unique(main.faces)], axis=0)
+    return {
+        "file": Path(path).name,
+        "vertices": len(raw.positions),
+        "triangles": len(raw.faces),
+        "welded_vertices": len(np.unique(welded.faces)),
+        "bounds_scan_units": [low.tolist(), high.tolist()],
+        "size_mm": (np.abs(frame.rotation @ extent) * frame.mm_per_unit).tolist(),
+        "units": frame.units,
+        "axes": frame.axes,
+        "components": count,
+        "largest_component_share": float(area.max() / max(float(area.sum()), 1e-300)),
+        "degenerate_faces": len(welded.faces) - len(sound.faces),
+        "duplicate_faces": len(sound.faces) - len(single.faces),
+        "boundary_edges": int((edges.count == 1).sum()),
+        "non_manifold_edges": int((edges.count > 2).sum()),
+        "watertight": bool((edges.count == 2).all()),
+        "color": raw.color_source,
+        "pages": _pages(raw),
+        "notes": list(raw.notes),
+        "warnings": list(frame.warnings),
+    }
+
+
+def _pages(raw: RawMesh) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": page.name,
+            "size_px": list(page.size),
+            "normal_map": normal.name if normal is not None else None,
+        }
+        for page, normal in zip(raw.pages, raw.normal_pages, strict=True)
+    ]

@@ -1,0 +1,230 @@
+"""glTF and GLB: every triangle of the default scene, node transforms applied, Draco decoded.
+
+Vertices come out in the file's own unit, which the specification fixes as metres with +Y up.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from scanrender.errors import ScanError
+from scanrender.scan.gltf_file import GltfFile
+from scanrender.scan.pages import Page, constant_page
+from scanrender.scan.raw import NO_PAGE, RawMesh
+from scanrender.scan.triangulate import strip_faces
+
+Array = npt.NDArray[Any]
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_DEEPEST = 64
+
+
+def read_gltf(path: Path) -> RawMesh:
+    """Read a .gltf or .glb. Raises ScanError."""
+    file = GltfFile(path)
+    notes: list[str] = []
+    parts = _Parts()
+    materials = _Materials(file, notes)
+    for mesh_index, matrix in _instances(file):
+        for primitive in file.json["meshes"][mesh_index].get("primitives", []):
+            if primitive.get("mode", _TRIANGLES) not in (_TRIANGLES, _STRIP, _FAN):
+                notes.append("points and lines are ignored")
+                continue
+            parts.add(_primitive(file, primitive, materials), matrix)
+    if not parts.positions:
+        raise ScanError(f"{path.name} has no triangles", str(path), "export it again as a mesh")
+    return parts.joined(materials, notes)
+
+
+class _Materials:
+    """Pages by material index, read once each."""
+
+    def __init__(self, file: GltfFile, notes: list[str]) -> None:
+        self.file, self.notes = file, notes
+        self.pages: list[Page] = []
+        self.normals: list[Page | None] = []
+        self._known: dict[int, tuple[int, int, dict[str, Any]]] = {}
+
+    def page(self, material: int | None) -> tuple[int, int, dict[str, Any]]:
+        """(page or NO_PAGE, texture coordinate set, texture transform) of a material."""
+        if material is None:
+            return NO_PAGE, 0, {}
+        if material not in self._known:
+            self._known[material] = self._read(self.file.json["materials"][material])
+        return self._known[material]
+
+    def _read(self, entry: dict[str, Any]) -> tuple[int, int, dict[str, Any]]:
+        pbr = entry.get("pbrMetallicRoughness", {})
+        color, factor = pbr.get("baseColorTexture"), pbr.get("baseColorFactor", [1, 1, 1, 1])
+        glossy = entry.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
+        if color is None and "diffuseTexture" in glossy:
+            color, factor = glossy["diffuseTexture"], glossy.get("diffuseFactor", factor)
+        rgb = (float(factor[0]), float(factor[1]), float(factor[2]))
+        page = None
+        if color is not None:
+            page = self.file.page(color["index"], "srgb", self.notes)
+            if page is not None:
+                page = Page(page.name, page.pixels, page.encoding, rgb)
+        if page is None:
+            if max(rgb) - min(rgb) < 0.02:
+                return NO_PAGE, 0, {}
+            page, color = constant_page(entry.get("name", "material"), rgb), {}
+        normal = entry.get("normalTexture")
+        channel = (color or {}).get("texCoord", 0)
+        same_set = normal is not None and normal.get("texCoord", 0) == channel
+        self.pages.append(page)
+        self.normals.append(
+            self.file.page(normal["index"], "linear", self.notes) if normal and same_set else None
+        )
+        transform = (color or {}).get("extensions", {}).get("KHR_texture_transform", {})
+        return len(self.pages) - 1, int(transform.get("texCoord", channel)), transform
+
+
+class _Parts:
+    """Primitives in world space, waiting to be joined."""
+
+    def __init__(self) -> None:
+        self.positions: list[Array] = []
+        self.faces: list[Array] = []
+        self.uv: list[Array | None] = []
+        self.page: list[Array] = []
+        self.colors: list[Array | None] = []
+        self.count = 0
+
+    def add(self, part: dict[str, Any], matrix: Array) -> None:
+        world = part["positions"] @ matrix[:3, :3].T + matrix[:3, 3]
+        faces = part["faces"]
+        if np.linalg.det(matrix[:3, :3]) < 0:  # a mirrored node turns its triangles inside out
+            faces = faces[:, ::-1]
+        bad = (faces < 0) | (faces >= len(world))
+        self.faces.append(np.where(bad, -1, faces + self.count))
+        safe = np.where(bad, 0, faces)
+        self.uv.append(None if part["uv"] is None else part["uv"][safe])
+        self.page.append(np.full(len(faces), part["page"], np.int16))
+        self.colors.append(part["colors"])
+        self.positions.append(world)
+        self.count += len(world)
+
+    def joined(self, materials: _Materials, notes: list[str]) -> RawMesh:
+        corner_uv = None
+        if any(uv is not None for uv in self.uv):
+            pairs = zip(self.uv, self.faces, strict=True)
+            blank = [np.full((len(f), 3, 2), np.nan) if uv is None else uv for uv, f in pairs]
+            corner_uv = np.concatenate(blank).astype(np.float32)
+        colors = None
+        if any(c is not None for c in self.colors):
+            both = zip(self.colors, self.positions, strict=True)
+            colors = np.concatenate([np.ones((len(p), 3)) if c is None else c for c, p in both])
+        return RawMesh(
+            positions=np.concatenate(self.positions).astype(np.float64),
+            faces=np.concatenate(self.faces).astype(np.int64),
+            corner_uv=corner_uv,
+            page=np.concatenate(self.page),
+            pages=tuple(materials.pages),
+            normal_pages=tuple(materials.normals),
+            colors=None if colors is None else colors.astype(np.float32),
+            notes=tuple(dict.fromkeys(notes)),
+            up_hint="+y",
+            mm_hint=1000.0,
+        )
+
+
+def _primitive(file: GltfFile, primitive: dict[str, Any], materials: _Materials) -> dict[str, Any]:
+    page, channel, transform = materials.page(primitive.get("material"))
+    names = {"POSITION": "positions", f"TEXCOORD_{channel}": "uv", "COLOR_0": "colors"}
+    draco = primitive.get("extensions", {}).get("KHR_draco_mesh_compression")
+    if draco is not None:
+        found, faces = _draco(file, draco, names)
+    else:
+        present = {k: v for k, v in primitive["attributes"].items() if k in names}
+        found = {names[k]: file.accessor(v) for k, v in present.items()}
+        faces = _triangles(file, primitive, len(found["positions"]))
+    uv, colors = found.get("uv"), found.get("colors")
+    if uv is not None and transform:
+        uv = _transformed(uv, transform)
+    if colors is not None:
+        colors = colors[:, :3].astype(np.float32)  # linear by the specification
+        colors = colors / 255.0 if colors.max(initial=0.0) > 1.5 else colors
+    positions = found["positions"].astype(np.float64)
+    return {"positions": positions, "faces": faces, "uv": uv, "colors": colors, "page": page}
+
+
+def _triangles(file: GltfFile, primitive: dict[str, Any], vertex_count: int) -> Array:
+    if "indices" in primitive:
+        indices = file.accessor(primitive["indices"])[:, 0].astype(np.int64)
+    else:
+        indices = np.arange(vertex_count)
+    mode = primitive.get("mode", _TRIANGLES)
+    if mode == _STRIP:
+        return strip_faces(indices)
+    if mode == _FAN:
+        hub = np.full(max(0, len(indices) - 2), indices[0] if len(indices) else 0)
+        return np.stack([hub, indices[1:-1], indices[2:]], axis=1)
+    return indices[: len(indices) // 3 * 3].reshape(-1, 3)
+
+
+def _draco(
+    file: GltfFile, extension: dict[str, Any], names: dict[str, str]
+) -> tuple[dict[str, Array], Array]:
+    import DracoPy
+
+    mesh = DracoPy.decode(file.view(extension["bufferView"]))
+    by_id = {a["unique_id"]: a for a in mesh.attributes}
+    found: dict[str, Array] = {}
+    for semantic, unique_id in extension["attributes"].items():
+        if semantic in names:
+            data = np.asarray(by_id[unique_id]["data"])
+            found[names[semantic]] = data.reshape(len(data), -1)
+    if not np.asarray(found["positions"]).any():
+        raise ScanError(f"{file.path.name}: Draco gave only zeros", str(file.path))
+    return found, np.asarray(mesh.faces, np.int64).reshape(-1, 3)
+
+
+def _transformed(uv: Array, transform: dict[str, Any]) -> Array:
+    """KHR_texture_transform: offset + rotation * scale * uv."""
+    scale, offset = transform.get("scale", [1, 1]), transform.get("offset", [0, 0])
+    c, s = np.cos(transform.get("rotation", 0.0)), np.sin(transform.get("rotation", 0.0))
+    rotation = np.array([[c, s], [-s, c]])
+    return np.asarray((uv * np.asarray(scale)) @ rotation.T + np.asarray(offset))
+
+
+def _instances(file: GltfFile) -> list[tuple[int, Array]]:
+    """(mesh index, world matrix) for each mesh node of the default scene."""
+    nodes, scenes = file.json.get("nodes", []), file.json.get("scenes", [])
+    if scenes:
+        roots = scenes[file.json.get("scene", 0)].get("nodes", [])
+    else:
+        children = {c for node in nodes for c in node.get("children", [])}
+        roots = [i for i in range(len(nodes)) if i not in children]
+    found = []
+    waiting = [(root, np.eye(4), 0) for root in reversed(roots)]
+    while waiting:
+        index, parent, depth = waiting.pop()
+        if depth > _DEEPEST:
+            raise ScanError(f"{file.path.name}: its nodes form a loop", str(file.path))
+        node = nodes[index]
+        matrix = parent @ _local(node)
+        if "mesh" in node:
+            found.append((node["mesh"], matrix))
+        waiting += [(child, matrix, depth + 1) for child in reversed(node.get("children", []))]
+    return found
+
+
+def _local(node: dict[str, Any]) -> Array:
+    if "matrix" in node:
+        return np.asarray(node["matrix"], np.float64).reshape(4, 4).T
+    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation * np.asarray(node.get("scale", (1.0, 1.0, 1.0)))
+    matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    return matrix

@@ -1,0 +1,42 @@
+"""Pull single vertices that shot out of the surface back among their neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import sparse
+
+from scanrender.scan.surface import Surface
+from scanrender.scan.topology import edges_of
+
+
+def flatten_spikes(surface: Surface, sigma: float) -> tuple[Surface, int]:
+    """Move each spike to its neighbours' mean; returns the surface and the number moved.
+
+    A spike is further from its neighbours' mean than `sigma` times its neighbours' own deviation
+    and than the local edge length. Boundary vertices are left alone: their mean is one-sided.
+    """
+    edges = edges_of(surface.faces)
+    count = len(surface.positions)
+    ones = np.ones(len(edges.pairs))
+    half = sparse.coo_matrix((ones, edges.pairs.T), shape=(count, count))
+    adjacency = (half + half.T).tocsr()
+    degree = np.maximum(np.asarray(adjacency.sum(axis=1)).reshape(-1), 1.0)
+    mean = (adjacency @ surface.positions) / degree[:, None]
+    deviation = np.linalg.norm(surface.positions - mean, axis=1)
+    around = (adjacency @ deviation) / degree
+    # A spike lifts its neighbours' deviation by 1/degree of its own: take that share away again.
+    inherited = (adjacency @ (deviation / degree)) / degree
+    length = np.linalg.norm(
+        surface.positions[edges.pairs[:, 0]] - surface.positions[edges.pairs[:, 1]], axis=1
+    )
+    typical = float(np.median(length)) if len(length) else 0.0
+    local = np.maximum(around - inherited, 0.0) + 0.25 * typical
+    spike = (deviation > sigma * local) & (degree >= 3)
+    spike[edges.pairs[edges.count != 2].reshape(-1)] = False
+    if not spike.any():
+        return surface, 0
+    positions = surface.positions.copy()
+    positions[spike] = mean[spike]
+    return replace(surface, positions=positions), int(spike.sum())

@@ -1,0 +1,141 @@
+"""Edges, components, loops and normals of a triangle mesh, vectorised."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+from scipy.sparse import csgraph
+
+Array = npt.NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Undirected edges of (m, 3) faces.
+
+    pairs (e, 2) sorted vertex pairs; count (e,) faces on each; half (3m,) the edge of half-edge
+    `corner * m + face`, which runs from corner to corner + 1; forward (3m,) true where that
+    half-edge runs from the smaller to the larger vertex index.
+    """
+
+    pairs: Array
+    count: Array
+    half: Array
+    forward: Array
+
+
+def edges_of(faces: Array) -> Edges:
+    start = faces.T.reshape(-1)
+    end = faces[:, [1, 2, 0]].T.reshape(-1)
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    stride = int(faces.max(initial=0)) + 1
+    keys, half, count = np.unique(low * stride + high, return_inverse=True, return_counts=True)
+    pairs = np.stack([keys // stride, keys % stride], axis=1)
+    return Edges(pairs, count, half.reshape(-1), start < end)
+
+
+def face_pairs(faces: Array, edges: Edges | None = None) -> tuple[Array, Array, Array]:
+    """Faces that share a two-face edge: (k,) first, (k,) second, and (k,) edge index."""
+    edges = edges if edges is not None else edges_of(faces)
+    order = np.argsort(edges.half, kind="stable")
+    start = np.cumsum(edges.count) - edges.count
+    two = np.flatnonzero(edges.count == 2)
+    first, second = order[start[two]], order[start[two] + 1]
+    return first % len(faces), second % len(faces), two
+
+
+def components(faces: Array, vertex_count: int) -> tuple[int, Array]:
+    """Connected pieces by shared vertices: their number, and the piece (m,) of each face."""
+    ones = np.ones(2 * len(faces), np.int8)
+    rows = np.concatenate([faces[:, 0], faces[:, 0]])
+    columns = np.concatenate([faces[:, 1], faces[:, 2]])
+    graph = sparse.coo_matrix((ones, (rows, columns)), shape=(vertex_count, vertex_count))
+    _, label = csgraph.connected_components(graph, directed=False)
+    used, piece = np.unique(label[faces[:, 0]], return_inverse=True)
+    return len(used), piece.reshape(-1)
+
+
+def area_normals(positions: Array, faces: Array) -> Array:
+    """(m, 3) face normals with the length of twice the area."""
+    a, b, c = (positions[faces[:, i]] for i in range(3))
+    return np.cross(b - a, c - a)
+
+
+def face_areas(positions: Array, faces: Array) -> Array:
+    return np.asarray(0.5 * np.linalg.norm(area_normals(positions, faces), axis=1))
+
+
+def corner_angles(positions: Array, faces: Array) -> Array:
+    """(m, 3) interior angles in radians; 0 at degenerate corners."""
+    angles = np.zeros(faces.shape)
+    for i in range(3):
+        u = positions[faces[:, (i + 1) % 3]] - positions[faces[:, i]]
+        v = positions[faces[:, (i + 2) % 3]] - positions[faces[:, i]]
+        cross = np.linalg.norm(np.cross(u, v), axis=1)
+        angles[:, i] = np.arctan2(cross, np.einsum("ij,ij->i", u, v))
+        angles[cross == 0.0, i] = 0.0
+    return angles
+
+
+def vertex_normals(positions: Array, faces: Array) -> Array:
+    """(n, 3) unit normals weighted by corner angle (Thurmer and Wuthrich 1998)."""
+    normal = unit(area_normals(positions, faces))
+    angles = corner_angles(positions, faces)
+    total = np.stack(
+        [
+            np.bincount(
+                faces.T.reshape(-1),
+                (angles * normal[:, [axis]]).T.reshape(-1),
+                minlength=len(positions),
+            )
+            for axis in range(3)
+        ],
+        axis=1,
+    )
+    return unit(total, fallback=(0.0, 0.0, 1.0))
+
+
+def unit(vectors: Array, fallback: tuple[float, ...] | None = None) -> Array:
+    """Vectors (..., k) of length one; zero vectors stay zero, or become `fallback`."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    result = vectors / np.where(length > 1e-300, length, 1.0)
+    if fallback is not None:
+        result = np.where(length > 1e-300, result, np.asarray(fallback, vectors.dtype))
+    return np.asarray(result)
+
+
+def vertex_areas(positions: Array, faces: Array) -> Array:
+    """(n,) a third of the area around each vertex."""
+    area = face_areas(positions, faces) / 3.0
+    return np.bincount(faces.reshape(-1), np.repeat(area, 3), minlength=len(positions))
+
+
+def boundary_loops(faces: Array) -> list[Array]:
+    """Closed loops of boundary vertices, each in the order that *hole-filling* faces would follow.
+
+    Vertices where several boundaries meet end a walk early: such a loop is left out.
+    """
+    edges = edges_of(faces)
+    on_boundary = edges.count[edges.half] == 1
+    start = faces.T.reshape(-1)[on_boundary]
+    end = faces[:, [1, 2, 0]].T.reshape(-1)[on_boundary]
+    following = dict(zip(end.tolist(), start.tolist(), strict=True))
+    ambiguous = len(following) != len(end)
+    loops = []
+    while following:
+        first, current = following.popitem()
+        loop = [first]
+        while current != first and current in following:
+            loop.append(current)
+            current = following.pop(current)
+        if current == first and len(loop) >= 3 and not (ambiguous and _repeats(loop)):
+            loops.append(np.array(loop, np.int64))
+    return loops
+
+
+def _repeats(loop: list[int]) -> bool:
+    return len(set(loop)) != len(loop)

@@ -1,0 +1,87 @@
+"""First rung of the unwrap ladder: our own charts, flattened by SLIM, packed by xatlas.
+
+xatlas alone makes thousands of charts on noisy skin (4143 on a 50 k head); few, compact charts keep
+seams rare and mip levels clean. A piece that is not a disk, flips, overlaps itself, or stretches
+too much is cut in two, and again, down to single triangles, which always work: hence no flips.
+Runs in a child process only.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from scanrender.scan.flatten import (
+    distortion,
+    flatten,
+    is_flattenable,
+    isometric_triangle,
+    signed_areas,
+)
+from scanrender.scan.rasterize import overlap_share
+from scanrender.scan.raw import NO_PAGE
+from scanrender.scan.repair import split_vertices
+from scanrender.scan.segment import edge_components, segment, split_in_two
+from scanrender.scan.surface import Surface
+
+Array = npt.NDArray[Any]
+
+PIECES = 36
+MAX_DISTORTION = 1.25
+MAX_OVERLAP = 0.002
+OVERLAP_TEST_PX = 256
+
+
+def unwrap_by_charts(
+    arrays: dict[str, Any], params: dict[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """positions (n, 3), faces (m, 3) -> chart (m,) and corner_uv (m, 3, 2) in mm."""
+    positions, faces = arrays["positions"], arrays["faces"]
+    pieces = min(int(params.get("pieces", PIECES)), max(1, len(faces) // 40))
+    label = segment(positions, faces, pieces)
+    waiting = [np.flatnonzero(label == piece) for piece in range(int(label.max()) + 1)]
+    chart = np.full(len(faces), -1, np.int64)
+    corner_uv = np.zeros((len(faces), 3, 2))
+    done, cuts = 0, 0
+    while waiting:
+        chosen = waiting.pop()
+        flat = _flat(positions, faces[chosen])
+        if flat is None:
+            cuts += 1
+            waiting += _halves(positions, faces, chosen)
+            continue
+        chart[chosen], corner_uv[chosen] = done, flat
+        done += 1
+    return {"chart": chart, "corner_uv": corner_uv}, {"charts": done, "cuts": cuts}
+
+
+def _halves(positions: Array, faces: Array, chosen: Array) -> list[Array]:
+    half = split_in_two(positions, faces[chosen])
+    pieces = []
+    for side in (0, 1):
+        part = chosen[half == side]
+        connected = edge_components(faces[part])
+        pieces += [part[connected == number] for number in range(int(connected.max()) + 1)]
+    return pieces
+
+
+def _flat(positions: Array, faces: Array) -> Array | None:
+    """Corner UV (m, 3, 2) of one piece, or None when it must be cut further."""
+    if len(faces) == 1:
+        return isometric_triangle(positions[faces[0]])[None]
+    page = np.full(len(faces), NO_PAGE, np.int16)
+    piece = split_vertices(Surface(positions, faces, None, page, None)).compact()
+    if not is_flattenable(piece.faces):
+        return None
+    uv = flatten(piece.positions, piece.faces)
+    if not np.isfinite(uv).all() or (signed_areas(uv, piece.faces) <= 0).any():
+        return None
+    if len(faces) > 8 and distortion(piece.positions, piece.faces, uv) > MAX_DISTORTION:
+        return None
+    low = uv.min(axis=0)
+    scaled = (uv - low) / max(float((uv.max(axis=0) - low).max()), 1e-300)
+    if len(faces) > 2 and overlap_share(scaled, piece.faces, OVERLAP_TEST_PX) > MAX_OVERLAP:
+        return None
+    return np.asarray(uv[piece.faces])

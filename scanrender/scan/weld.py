@@ -1,0 +1,58 @@
+"""Join vertices that lie at the same place, and drop faces that are degenerate or twice there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from scanrender.scan.surface import Surface
+from scanrender.scan.topology import face_areas
+
+# Positions are compared on a grid this fine relative to the scan: float32 files hold no more.
+GRID = 1e-7
+
+
+def weld(surface: Surface) -> Surface:
+    """One vertex per place: exporters split them at UV and normal seams. Colours are averaged."""
+    low = surface.positions.min(axis=0)
+    step = max(float(np.ptp(surface.positions, axis=0).max()) * GRID, 1e-300)
+    cell = np.round((surface.positions - low) / step).astype(np.int64)
+    # One 64-bit key per cell (21 bits an axis would be too few, hence the sort by columns).
+    order = np.lexsort(cell.T[::-1])
+    ordered = cell[order]
+    new = np.concatenate([[True], (ordered[1:] != ordered[:-1]).any(axis=1)])
+    label = np.empty(len(cell), np.int64)
+    label[order] = np.cumsum(new) - 1
+    if label.max() + 1 == len(cell):
+        return surface
+    source = np.full(label.max() + 1, len(cell), np.int64)
+    np.minimum.at(source, label, np.arange(len(cell)))
+    rank = np.argsort(np.argsort(source))  # keep the file's order of vertices
+    label = rank[label]
+    source = np.sort(source)
+    welded = surface.renumber(label[surface.faces], source)
+    if surface.colors is not None:
+        count = np.bincount(label)
+        sums = [np.bincount(label, surface.colors[:, k]) for k in range(3)]
+        mean = np.stack(sums, axis=1) / count[:, None]
+        welded = replace(welded, colors=mean.astype(np.float32))
+    return welded
+
+
+def drop_degenerate(surface: Surface) -> Surface:
+    """Without faces that name a vertex twice or have no area."""
+    f = surface.faces
+    distinct = (f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])
+    size = float(np.ptp(surface.positions, axis=0).max())
+    area = face_areas(surface.positions, f)
+    return surface.keep_faces(distinct & (area > 1e-14 * size * size))
+
+
+def drop_duplicates(surface: Surface) -> Surface:
+    """Without the second copy of a face, whatever its winding (two-sided exports)."""
+    ordered = np.sort(surface.faces, axis=1)
+    _, first = np.unique(ordered, axis=0, return_index=True)
+    if len(first) == len(ordered):
+        return surface
+    return surface.keep_faces(np.sort(first))
