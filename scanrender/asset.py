@@ -152,7 +152,7 @@ def _write_map(folder: Path, name: str, pixels: images.Image) -> None:
         images.write_srgb_png(path, pixels)
     elif name == "normal_ts":
         encoded = np.clip(pixels * 0.5 + 0.5, 0.0, 1.0) * 65535.0 + 0.5
-        images.write_image(path, encoded.astype(np.uint16))
+        images.write_image(path, encoded.astype(np.uint16), attributes=images.FAST_PNG)
     else:
         channels = ("X", "Y", "Z") if MAPS[name].channels == 3 else ("Y",)
         images.write_image(

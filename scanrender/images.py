@@ -95,7 +95,11 @@ def write_srgb_png(path: Path | str, linear: npt.NDArray[Any]) -> Path:
 def write_png8(path: Path | str, encoded: npt.NDArray[Any]) -> Path:
     """Write already encoded values in [0, 1] as an 8-bit PNG."""
     levels = np.clip(np.nan_to_num(encoded), 0.0, 1.0) * 255.0 + 0.5
-    return write_image(path, levels.astype(np.uint8), attributes={"png:compressionLevel": 4})
+    return write_image(path, levels.astype(np.uint8), attributes=FAST_PNG)
+
+
+# zlib's default level takes three times as long for 3 % of the size.
+FAST_PNG = {"png:compressionLevel": 4}
 
 
 _OIIO_TYPES = {

@@ -1,6 +1,6 @@
 """A probability of skin for each texel, from colour alone.
 
-Skin is the dominant cluster of a portrait scan in CIE Lab; brows, beard, hair, eyes and lips lie
+Skin is the dominant cluster of a portrait scan in CIE Lab; brows, beard, hair and eyes lie
 apart from it. First version: a robust centre and spread, and a smooth fall with the distance.
 """
 
@@ -12,10 +12,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from scanrender.metrics import lab_from_linear_rec709
+
 Array = npt.NDArray[Any]
 
 # Lightness varies with baked-in light far more than hue does: it counts less.
 LIGHTNESS_WEIGHT = 0.55
+REDDER_WEIGHT = 0.3
 FULL_DISTANCE = 2.0  # in spreads: certainly skin
 NO_DISTANCE = 6.0  # in spreads: certainly not
 MIN_SPREAD = 4.0  # Lab units; below this the eye itself hardly tells two skins apart
@@ -29,28 +32,19 @@ def skin_probability(
     Only covered texels take part. sigma_px: smoothing, about 1 mm in texels.
     """
     smooth = _masked_blur(albedo, covered, sigma_px)
-    lab = lab_from_linear(smooth)
+    lab = lab_from_linear_rec709(smooth).astype(np.float32)
     sample = lab[covered]
     rng = np.random.default_rng(0)
     if len(sample) > 50_000:
         sample = sample[rng.choice(len(sample), 50_000, replace=False)]
     center, spread = _dominant(sample)
     scaled = (lab - center) / spread
+    # Redder than the rest is still skin: lips, cheeks, ears. Hair, brows and eyes lose red.
+    scaled[..., 1] *= np.where(scaled[..., 1] > 0.0, REDDER_WEIGHT, 1.0)
     distance = np.sqrt((scaled**2).sum(axis=-1))
     fall = np.clip((distance - FULL_DISTANCE) / (NO_DISTANCE - FULL_DISTANCE), 0.0, 1.0)
     probability = 1.0 - fall * fall * (3.0 - 2.0 * fall)
     return probability.astype(np.float32), [float(x) for x in center]
-
-
-def lab_from_linear(rgb: Array) -> Array:
-    """CIE Lab (D65) of linear Rec.709 in [0, 1]."""
-    matrix = np.array(
-        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]], np.float32
-    )
-    xyz = np.clip(rgb, 0.0, 1.0) @ matrix.T / np.array([0.95047, 1.0, 1.08883], np.float32)
-    curve = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16.0 / 116.0)
-    x, y, z = curve[..., 0], curve[..., 1], curve[..., 2]
-    return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
 
 
 def _dominant(sample: Array) -> tuple[Array, Array]:
