@@ -21,9 +21,9 @@ from scanrender.phantom.sdf import (
     union,
 )
 
-EAR_ORIGIN = np.array([68.5, -17.0, -8.0])
+EAR_ORIGIN = np.array([68.0, -17.0, -8.0])
 _LEAN_DEG = 13.0  # the top tips backward
-_FLARE_DEG = 24.0  # the back edge stands off the head
+_FLARE_DEG = 22.0  # the back edge stands off the head
 
 _HELIX = [
     [-1.0, -2.0, -0.6, 1.8],

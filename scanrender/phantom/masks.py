@@ -15,12 +15,12 @@ from scanrender.phantom.sdf import bump
 
 # Hairline: azimuth about the vertical through (0, y, -10) in degrees from the front, height in mm.
 _HAIRLINE = [
-    (0.0, 72.0),
-    (14.0, 73.5),
-    (27.0, 73.0),
-    (37.0, 64.0),
-    (45.0, 57.0),
-    (52.0, 42.0),
+    (0.0, 65.0),
+    (14.0, 66.5),
+    (27.0, 67.5),
+    (37.0, 60.0),
+    (45.0, 53.0),
+    (52.0, 39.0),
     (57.0, 18.0),
     (61.0, 0.0),
     (65.0, -15.0),
@@ -34,6 +34,8 @@ _HAIRLINE = [
     (160.0, -74.0),
     (180.0, -76.0),
 ]
+
+_MM_PER_DEGREE = 1.4  # along the hairline
 
 
 @dataclass(frozen=True)
@@ -85,25 +87,34 @@ def _ear(m: Array) -> Array:
 
 def _hair(t: Array, seed: int) -> Array:
     azimuth = np.degrees(np.arctan2(np.abs(t[:, 0]), t[:, 2] + 10.0))
-    edge = t[:, 1] - _hairline()(azimuth)
+    line = _hairline()
+    # Height over the line, made a distance in front of the ears, where the line is steep.
+    steep = line(azimuth, 1) / _MM_PER_DEGREE * smoothstep(74.0, 66.0, azimuth)
+    edge = (t[:, 1] - line(azimuth)) / np.hypot(1.0, steep)
     # Far from the hairline the border noise cannot matter.
-    close = np.flatnonzero(np.abs(edge) < 18.0)
-    ragged = 2.0 * noise(t[close], 7.0, seed + 201) + 1.6 * noise(t[close], 1.4, seed + 202)
-    edge[close] += ragged
-    return smoothstep(-8.0, 13.0, edge)
+    close = np.flatnonzero(np.abs(edge) < 30.0)
+    edge[close] += 1.9 * noise(t[close], 11.0, seed + 201) + 1.0 * noise(t[close], 4.0, seed + 202)
+    return smoothstep(-11.0, 19.0, edge)
+
+
+def brow_line(x: Array) -> tuple[Array, Array, Array]:
+    """(along, y, half height) of the brow at |x|: along is 0 at the nose and 1 at the temple."""
+    along = (x - 10.5) / 42.0
+    inside = np.clip(along, 0.0, 1.0)
+    line = 14.2 + 3.9 * np.sin(2.3 * inside) ** 1.2 - 3.6 * inside**3
+    return along, line, 4.1 - 2.6 * inside**1.2
 
 
 def _brow(m: Array, t: Array, seed: int) -> Array:
+    """How densely the hairs stand: full in the body, thin at the nose, running out at the tail."""
     out = np.zeros(len(t))
-    index = np.flatnonzero((m[:, 0] < 60.0) & (np.abs(m[:, 1] - 20.0) < 14.0) & (m[:, 2] > 40.0))
-    x, y = m[index, 0], m[index, 1]
-    along = (x - 10.5) / 43.0
-    line = 16.6 + 7.4 * np.sin(np.clip(along, 0.0, 1.0) * 2.3) ** 1.2 - 3.6 * along**3
-    half = 4.3 - 2.9 * np.clip(along, 0.0, 1.0) ** 1.3
-    ragged = 0.35 * noise(t[index], 1.5, seed + 211) + 0.4 * noise(t[index], 3.0, seed + 212)
-    across = (np.abs(y - line) - ragged) / half
-    ends = smoothstep(-0.10, 0.12, along) * smoothstep(1.08, 0.82, along)
-    out[index] = smoothstep(1.5, 0.1, across) * ends
+    index = np.flatnonzero((m[:, 0] < 60.0) & (np.abs(m[:, 1] - 17.0) < 14.0) & (m[:, 2] > 40.0))
+    along, line, half = brow_line(m[index, 0])
+    # Sharper below than above, where the hairs comb out into the forehead.
+    off = m[index, 1] - line + 0.3 * noise(t[index], 5.0, seed + 211)
+    across = np.where(off > 0.0, off / (1.15 * half), -off / half)
+    ends = smoothstep(-0.10, 0.30, along) * smoothstep(1.06, 0.66, along)
+    out[index] = smoothstep(1.5, 0.3, across) * ends
     return out
 
 
@@ -114,8 +125,9 @@ def _lips(t: Array, seed: int) -> Array:
     x, y = t[index, 0], t[index, 1]
     _, upper, lower, _ = lip_lines(x)
     ragged = 0.22 * noise(t[index], 1.1, seed + 221)
-    edge = np.minimum(upper - y, y - lower) + ragged
-    out[index] = smoothstep(-0.7, 0.8, edge) * (np.abs(x) < MOUTH_HALF_WIDTH_MM + 0.5)
+    edge = np.minimum(upper + 0.6 - y, y - lower) + ragged
+    corner = smoothstep(1.06, 0.80, np.abs(x) / MOUTH_HALF_WIDTH_MM)
+    out[index] = smoothstep(-1.0, 1.1, edge) * corner
     return out
 
 
@@ -123,14 +135,15 @@ def _eye(m: Array) -> tuple[Array, Array]:
     """Opening between the lids, and the dark line of the lashes along its border."""
     eye, lashes = np.zeros(len(m)), np.zeros(len(m))
     offset = np.abs(m - EYE_CENTRE)
-    index = np.flatnonzero((offset[:, 0] < 19.0) & (offset[:, 1] < 12.0) & (m[:, 2] > 66.0))
+    front = m[:, 2] > EYE_CENTRE[2] - 5.0
+    index = np.flatnonzero((offset[:, 0] < 19.0) & (offset[:, 1] < 12.0) & front)
     gap = fissure(m[index])
     eye[index] = smoothstep(-0.15, -0.75, gap)
     upper = m[index, 1] > EYE_CENTRE[1] - 0.5 + 0.1 * (m[index, 0] - EYE_CENTRE[0])
     line = np.where(
         upper,
-        smoothstep(-1.1, -0.4, gap) * smoothstep(1.5, 0.3, gap),
-        0.4 * smoothstep(0.1, 0.5, gap) * smoothstep(1.5, 0.8, gap),
+        smoothstep(-1.2, -0.4, gap) * smoothstep(1.3, 0.1, gap),
+        0.35 * smoothstep(0.0, 0.4, gap) * smoothstep(1.5, 0.7, gap),
     )
     lateral = 0.55 + 0.45 * smoothstep(-14.0, 4.0, m[index, 0] - EYE_CENTRE[0])
     lashes[index] = line * lateral * smoothstep(-15.5, -11.0, m[index, 0] - EYE_CENTRE[0])
@@ -142,6 +155,6 @@ def _beard(m: Array) -> Array:
     x, y, z = m.T
     cheek_line = -52.0 + 0.0105 * np.maximum(x - 16.0, 0.0) ** 2
     cheek_line -= 9.0 * bump(x, y, (33.0, -58.0), (9.0, 12.0))
-    lower_face = smoothstep(4.0, -7.0, y - cheek_line) * smoothstep(-135.0, -112.0, y)
+    lower_face = smoothstep(10.0, -15.0, y - cheek_line) * smoothstep(-135.0, -112.0, y)
     lip_clear = 1.0 - bump(x, y, (0.0, -79.5), (14.0, 3.0)) * 0.5
     return lower_face * lip_clear * smoothstep(-14.0, 12.0, z)

@@ -29,9 +29,8 @@ def relief_mm(t: Array, masks: Masks, spacing_mm: float, seed: int) -> Array:
     total = _skin(t, masks, spacing_mm, seed) * bare
     total += _creases(t, seed) * masks.front * bare
     total += _lip_lines(t, masks, spacing_mm, seed)
-    total += masks.hair * (0.8 + 0.12 * strands(t, seed, spacing_mm))
-    if held(0.9, spacing_mm) > 0.0:
-        total += masks.brow * (0.2 + 0.07 * noise(t * np.array([0.4, 1.0, 0.4]), 0.9, seed + 31))
+    total += masks.hair * (0.2 + 0.05 * strands(t, seed, spacing_mm))
+    total += 0.25 * masks.brow
     return total
 
 
@@ -43,10 +42,10 @@ def strands(t: Array, seed: int, spacing_mm: float) -> Array:
     turn = np.arctan2(offset[:, 0], offset[:, 2])
     # Along the strand the coordinate runs slowly, across it fast.
     swirl = turn + 0.25 * np.log1p(reach / 8.0)
-    across = np.stack([np.cos(swirl), np.sin(swirl)], axis=1) * reach[:, None]
-    flow = np.stack([across[:, 0], 0.22 * t[:, 1] + 0.12 * reach, across[:, 1]], axis=1)
-    total = 0.8 * noise(flow, 5.0, seed + 41)
-    for scale, weight in ((1.8, 0.6), (0.7, 0.6)):
+    across = np.stack([np.cos(swirl), np.sin(swirl)], axis=1) * np.maximum(reach, 4.0)[:, None]
+    flow = np.stack([across[:, 0], 0.16 * t[:, 1] + 0.10 * reach, across[:, 1]], axis=1)
+    total = np.zeros(len(t))
+    for scale, weight in ((3.2, 0.25), (1.6, 0.8), (0.7, 0.7)):
         fade = held(scale, spacing_mm)
         if fade > 0.0:
             total += fade * weight * noise(flow, scale, seed + int(10 * scale))
@@ -54,8 +53,8 @@ def strands(t: Array, seed: int, spacing_mm: float) -> Array:
 
 
 def _skin(t: Array, masks: Masks, spacing_mm: float, seed: int) -> Array:
-    total = 0.05 * fbm(t, 9.0, 2, seed + 1) * (1.0 - 0.5 * masks.ear)
-    for scale, height in ((2.4, 0.020), (1.1, 0.017)):
+    total = 0.03 * fbm(t, 9.0, 2, seed + 1) * (1.0 - 0.5 * masks.ear)
+    for scale, height in ((2.4, 0.013), (1.1, 0.012)):
         fade = held(scale, spacing_mm)
         if fade > 0.0:
             total += fade * height * noise(t, scale, seed + int(100 * scale))
@@ -83,13 +82,13 @@ def _creases(t: Array, seed: int) -> Array:
     x, y = np.abs(t[:, 0]), t[:, 1]
     wave = noise(t, 16.0, seed + 51)
     depth = np.zeros(len(t))
-    for level, strength in ((37.0, 0.13), (45.5, 0.2), (54.0, 0.2), (62.0, 0.12)):
+    for level, strength in ((37.0, 0.05), (45.5, 0.09), (54.0, 0.09), (62.0, 0.05)):
         line = y - level - 1.5 * wave - 0.0022 * x**2
         depth += strength * np.exp(-((line / 0.9) ** 2)) * smoothstep(44.0, 22.0, x)
     frown = np.exp(-(((x - 7.0 - 0.12 * (y - 18.0) - 0.5 * wave) / 1.0) ** 2))
-    depth += 0.22 * frown * bump(x, y, (7.0, 20.0), (9.0, 5.5))
+    depth += 0.07 * frown * bump(x, y, (7.0, 20.0), (9.0, 5.5))
     depth += _crow_feet(x, y, wave)
-    for at, strength in ((-13.5, 0.14), (-16.5, 0.1)):
+    for at, strength in ((-13.5, 0.09), (-16.5, 0.06)):
         line = y - at + 0.35 * wave - 0.014 * (x - 30.0) ** 2
         depth += strength * np.exp(-((line / 0.8) ** 2)) * smoothstep(17.0, 8.0, np.abs(x - 30.0))
     return _nasolabial(x, y) - depth
@@ -101,7 +100,7 @@ def _crow_feet(x: Array, y: Array, wave: Array) -> Array:
     lines = sum(
         np.exp(-((np.radians(angle - at) * reach / 0.75) ** 2)) for at in (-38.0, -17.0, 2.0, 21.0)
     )
-    return np.asarray(0.16 * lines * smoothstep(8.0, 12.0, reach) * smoothstep(24.0, 14.0, reach))
+    return np.asarray(0.10 * lines * smoothstep(8.0, 12.0, reach) * smoothstep(24.0, 14.0, reach))
 
 
 def _nasolabial(x: Array, y: Array) -> Array:
@@ -111,7 +110,7 @@ def _nasolabial(x: Array, y: Array) -> Array:
     fade = smoothstep(-33.0, -41.0, y) * smoothstep(-76.0, -60.0, y)
     valley = np.exp(-((side / 1.7) ** 2))
     full = np.exp(-(((side - 6.0) / 5.0) ** 2))
-    return np.asarray((0.85 * full - 0.75 * valley) * fade)
+    return np.asarray((0.65 * full - 0.5 * valley) * fade)
 
 
 def _lip_lines(t: Array, masks: Masks, spacing_mm: float, seed: int) -> Array:

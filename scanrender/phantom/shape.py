@@ -15,7 +15,7 @@ CUT_Y_MM = -168.0  # the open neck
 BOUNDS_MM = np.array([[-116.0, CUT_Y_MM, -116.0], [116.0, 122.0, 122.0]])
 CHUNK = 32_768
 
-_ASYMMETRY_MM = 0.7
+_ASYMMETRY_MM = 0.9
 _ASYMMETRY_SCALE_MM = 75.0
 
 

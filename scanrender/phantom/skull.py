@@ -29,13 +29,13 @@ _SECTIONS = np.array(
     [
         # y, front, width, back
         [-128.0, 73.0, 24.0, 20.0],
-        [-116.0, 80.0, 38.0, 22.0],
-        [-108.0, 85.0, 44.0, 22.0],
-        [-100.0, 87.0, 48.0, 22.0],
-        [-88.0, 86.5, 52.5, 23.0],
-        [-78.0, 88.5, 56.5, 24.0],
-        [-66.0, 90.5, 60.5, 26.0],
-        [-50.0, 90.5, 64.5, 30.0],
+        [-116.0, 80.0, 39.0, 22.0],
+        [-108.0, 85.0, 43.0, 22.0],
+        [-100.0, 87.0, 46.5, 22.0],
+        [-88.0, 86.5, 51.0, 23.0],
+        [-78.0, 88.5, 54.5, 24.0],
+        [-66.0, 90.5, 58.0, 26.0],
+        [-50.0, 90.5, 62.5, 30.0],
         [-30.0, 88.5, 68.0, 40.0],
         [-10.0, 87.5, 69.5, 50.0],
         [5.0, 88.5, 69.5, 56.0],
@@ -49,20 +49,22 @@ _SECTIONS = np.array(
 # Hills and hollows added along +Z: x, y, sigma x, sigma y, height (mm), mirrored in x.
 _FRONT_RELIEF = np.array(
     [
-        [31.5, 1.0, 14.0, 9.0, -5.5],  # orbit
-        [15.5, 1.0, 5.5, 8.0, -5.0],  # inner corner of the orbit
-        [17.0, 16.5, 10.0, 5.5, 2.2],  # brow ridge, inner
-        [37.0, 22.0, 10.0, 5.5, 2.8],  # brow ridge, outer
-        [0.0, 20.0, 10.0, 7.0, 1.2],  # glabella
+        [31.5, -0.5, 14.0, 8.5, -6.0],  # orbit
+        [15.5, 1.5, 5.5, 7.5, -5.0],  # inner corner of the orbit
+        [18.0, 15.5, 9.5, 5.0, 3.0],  # brow ridge, inner
+        [37.0, 18.0, 10.5, 5.0, 3.8],  # brow ridge, outer
+        [36.0, 10.5, 10.0, 4.0, 1.8],  # fat under the brow, over the outer lid
+        [0.0, 20.0, 9.0, 7.0, 1.8],  # glabella
         [23.0, 50.0, 14.0, 13.0, 1.4],  # frontal eminence
-        [46.0, -21.0, 13.0, 9.0, 4.6],  # cheekbone
-        [31.0, -33.0, 11.0, 13.0, 2.6],  # cheek fat
-        [52.0, -55.0, 12.0, 16.0, -3.4],  # hollow under the cheekbone
-        [21.0, -13.0, 6.0, 8.0, -1.4],  # tear trough
+        [45.0, -20.0, 13.0, 8.5, 4.4],  # cheekbone
+        [31.0, -33.0, 12.0, 14.0, 2.8],  # cheek fat
+        [50.0, -57.0, 13.0, 15.0, -2.0],  # hollow under the cheekbone
+        [22.0, -14.0, 6.5, 7.0, -0.9],  # tear trough
         [0.0, -63.0, 21.0, 15.0, 3.2],  # muzzle
         [32.0, -70.0, 6.0, 10.0, -1.4],  # beside the mouth
         [0.0, -87.5, 16.0, 4.8, -2.6],  # fold between lip and chin
-        [0.0, -102.0, 15.0, 8.5, 4.0],  # chin
+        [0.0, -101.0, 15.0, 8.0, 2.0],  # chin
+        [9.0, -103.0, 8.0, 7.0, 1.2],  # its two mounds
         [29.0, -97.0, 8.0, 9.0, -1.2],  # beside the chin
     ]
 )
@@ -133,7 +135,7 @@ def _neck(p: Array) -> Array:
 @lru_cache(maxsize=1)
 def _cheek_arch() -> Array:
     return smooth_path(
-        [[52.0, -16.0, 54.0, 4.0], [59.0, -12.0, 36.0, 4.0], [62.5, -8.0, 12.0, 4.0]], 5
+        [[51.0, -17.0, 54.0, 4.0], [58.0, -13.0, 36.0, 4.0], [61.5, -9.0, 12.0, 4.0]], 5
     )
 
 
@@ -147,8 +149,9 @@ def head_base(p: Array) -> Array:
     front = np.flatnonzero(z > 5.0)
     shifted[front, 2] -= front_relief(x[front], y[front]) * smoothstep(5.0, 45.0, z[front])
     side = -4.2 * bump(y, z, (24.0, 50.0), (17.0, 15.0))  # temple
-    side += 1.8 * bump(y, z, (-62.0, 18.0), (20.0, 14.0))  # masseter
-    side += -1.5 * bump(y, z, (-38.0, 40.0), (13.0, 13.0))  # hollow cheek
+    side += 2.0 * bump(y, z, (-66.0, 14.0), (17.0, 14.0))  # masseter
+    side += 1.4 * bump(y, z, (-88.0, 12.0), (9.0, 13.0))  # angle of the jaw
+    side += -0.8 * bump(y, z, (-40.0, 40.0), (14.0, 14.0))  # hollow cheek
     face = union(_cranium(shifted), _face_loft(shifted), 22.0)
     mirrored = p.copy()
     mirrored[:, 0] = x
