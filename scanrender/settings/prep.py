@@ -23,7 +23,7 @@ class CleanSettings(Section):
         le=200,
     )
     spike_sigma: float = setting(
-        6.0,
+        5.0,
         "A vertex further from its neighbours' mean than this many local deviations is a spike.",
         unit="1",
         ge=2,
