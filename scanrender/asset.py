@@ -91,6 +91,8 @@ def check_replaceable(folder: Path | str) -> None:
     Raises OutputError: `prep SCAN --out ~/Documents` must not empty that folder.
     """
     folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"{folder} is a file: it would be replaced", str(folder), "name a folder")
     if folder.is_dir() and any(folder.iterdir()) and not (folder / "asset.json").is_file():
         raise OutputError(
             f"{folder} holds other files and is not an asset: it would be replaced whole",

@@ -22,6 +22,7 @@ Image = npt.NDArray[np.float32]
 # Refuse an image whose decoded size would take the machine's memory (an "image bomb"), before
 # decoding it. 32768^2 is twice the largest atlas that photogrammetry tools export (16 K).
 MAX_PIXELS = 32768 * 32768
+MAX_STORED_BYTES = 4 << 30
 
 
 def srgb_from_linear(linear: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -56,6 +57,45 @@ def read_image(path: Path | str) -> Image:
     finally:
         source.close()
     return np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, spec.nchannels)
+
+
+def read_colors(path: Path | str, name: str | None = None) -> npt.NDArray[Any]:
+    """The first three channels (h, w, 3) as stored, without a detour over floats: uint8, uint16 or
+    float32; grey is repeated. Colours are not multiplied by alpha: a texture's alpha is a cut-out,
+    and its colours are valid everywhere. `name` is what errors call the image.
+
+    Raises ScanError when the file is absent, unreadable, or too large to decode.
+    """
+    called = name or Path(path).name
+    keep = oiio.ImageSpec()
+    keep.attribute("oiio:UnassociatedAlpha", 1)
+    source = oiio.ImageInput.open(str(path), keep)
+    if source is None:
+        raise ScanError(f"cannot read image {called}: {_first_line(oiio.geterror())}", str(path))
+    try:
+        spec = source.spec()
+        dtype = {"uint8": np.uint8, "uint16": np.uint16}.get(str(spec.format), np.float32)
+        channels = min(spec.nchannels, 3) if spec.nchannels >= 3 else 1
+        size = spec.width * spec.height * channels * np.dtype(dtype).itemsize
+        if spec.width * spec.height > MAX_PIXELS or size > MAX_STORED_BYTES:
+            raise ScanError(
+                f"image {called} says that it is {spec.width} x {spec.height} pixels: too large",
+                str(path),
+                "scale it down to 16384 x 16384 or less",
+            )
+        kind = oiio.TypeDesc(_OIIO_TYPES[np.dtype(dtype).name])
+        pixels = source.read_image(0, 0, 0, channels, kind)
+        if pixels is None:
+            said = _first_line(source.geterror())
+            raise ScanError(f"cannot decode image {called}: {said}", str(path), "export it again")
+    finally:
+        source.close()
+    pixels = np.asarray(pixels, dtype).reshape(spec.height, spec.width, channels)
+    return pixels if channels == 3 else np.repeat(pixels, 3, axis=2)
+
+
+def _first_line(text: str) -> str:
+    return (text.strip().splitlines() or ["it is not an image"])[0]
 
 
 def write_image(

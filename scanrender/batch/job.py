@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from scanrender import __version__
-from scanrender.asset import Asset, load_asset
+from scanrender.asset import Asset, check_replaceable, load_asset
 from scanrender.batch.turntable import Progress, write_turntable
 from scanrender.errors import OutputError
 from scanrender.files import make_folder, write_text
 from scanrender.outputs.manifest import (
+    MANIFEST_NAME,
     hash_file,
     package_versions,
     platform_info,
@@ -64,6 +65,10 @@ def run_job(
     result = Result(scan.stem, folder)
     asset_folder = folder / "asset"
     if "prep" in pipeline.stages:
+        check_replaceable(asset_folder)
+    # A manifest means complete: an earlier run's must not vouch for what is written now.
+    (folder / MANIFEST_NAME).unlink(missing_ok=True)
+    if "prep" in pipeline.stages:
         asset = _prepare(scan, pipeline, asset_folder, progress, result)
         source: dict[str, Any] = {"file": scan.name, "sha256": hash_file(scan)}
     else:
@@ -85,7 +90,7 @@ def check_writable(folder: Path) -> None:
     probe = folder / ".writing-probe"
     try:
         probe.write_bytes(b"")
-        probe.unlink()
+        probe.unlink(missing_ok=True)  # another job may have looked at the same moment
     except OSError as error:
         raise OutputError(
             f"cannot write into {folder}: {error.strerror}", str(folder), "choose another --out"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 from scanrender.batch.identity import scan_ids
 from scanrender.batch.job import Result, run_job
 from scanrender.batch.turntable import Progress
-from scanrender.errors import BatchError, ScanrenderError
+from scanrender.errors import BatchError, ScanrenderError, UsageError
 from scanrender.settings.pipeline import Pipeline
 
 
@@ -43,7 +44,13 @@ def run_batch(
     say: Callable[[str], None],
     frames: Sequence[int] | None = None,
 ) -> Batch:
-    """Run every scan; a scan that fails is told and left behind. Never raises ScanrenderError."""
+    """Run every scan; a scan that fails is told and left behind.
+
+    Raises UsageError when a scan is named twice; nothing else that a single scan can cause.
+    """
+    twice = [path for path, count in Counter(scan.resolve() for scan in scans).items() if count > 1]
+    if twice:
+        raise UsageError(f"the same scan is named twice: {twice[0]}")
     batch = Batch()
     for number, (scan, name) in enumerate(zip(scans, scan_ids(scans), strict=True)):
         folder = out if len(scans) == 1 else out / name
@@ -53,6 +60,14 @@ def run_batch(
             batch.results.append(run_job(scan, pipeline, folder, progress, frames))
         except ScanrenderError as error:
             batch.failures.append((scan, error))
-            if len(scans) > 1:
-                say(str(error))
+        except Exception as error:
+            if len(scans) == 1:
+                raise
+            # A bug that one scan brings to light must not cost the others either.
+            what = f"this is a bug in scanrender: {type(error).__name__}: {error}"
+            batch.failures.append((scan, ScanrenderError(what, str(scan), "run it alone, --debug")))
+        else:
+            continue
+        if len(scans) > 1:
+            say(str(batch.failures[-1][1]))
     return batch

@@ -72,7 +72,7 @@ def write_turntable(
             )
             written.files.append("turntable.mp4")
         for done, index in enumerate(indices):
-            buffers = dumped if index in outputs.buffer_frames or not whole else []
+            buffers = dumped if index in outputs.buffer_frames else []
             started = time.perf_counter()
             frame = renderer.render(renderer.view(index), buffers)
             written.add_time("render", started)
@@ -122,8 +122,9 @@ def write_buffers(
         for name in names:
             target = base.with_suffix("") / f"{name}.png"
             pixels = frame.buffers[name]
-            fits = pixels.shape[:2] == frame.alpha.shape
-            alpha = frame.alpha if fits and name != "display" else None
+            # Coverage belongs to the camera's picture, not to a shadow map that happens to fit.
+            covers = pixels.shape[:2] == frame.alpha.shape and not name.startswith("shadow_")
+            alpha = frame.alpha if covers and name != "display" else None
             false_colour_png(target, buffer_spec(name), pixels, alpha)
             files.append(target)
     return [str(path.relative_to(folder)) for path in files]

@@ -72,6 +72,17 @@ def frame_range(text: str | None, count: int) -> list[int] | None:
     return list(range(start, stop + 1))
 
 
+def buffer_list(text: str) -> tuple[str, ...]:
+    """`all`, or names of buffers: a,b,c. Raises UsageError for one that does not exist."""
+    from scanrender.buffers import buffer_spec
+
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    for name in names:
+        if name != "all":
+            buffer_spec(name)
+    return names
+
+
 def existing(path: Path, what: str) -> Path:
     """`path`, or a UsageError in one sentence when it is not there."""
     if not path.exists():

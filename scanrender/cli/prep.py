@@ -39,10 +39,12 @@ def command(
 
     settings = load_pipeline(pipeline, overrides)
     options.existing(scan, "scan")
+    from scanrender.asset import check_replaceable
     from scanrender.batch.job import check_writable
     from scanrender.scan.prepare import prepare
 
     check_writable(out.parent)
+    check_replaceable(out)
     with progress(progress_kind) as show:
         asset = prepare(scan, settings.scan, settings.prep, out, progress=show, as_is=as_is)
     if as_json:

@@ -45,12 +45,15 @@ def command(
     from scanrender.cli.progress import progress
     from scanrender.settings.loading import load_pipeline
 
-    extra = (*overrides, "stages=[render]")
-    if buffers not in (None, "list"):
-        extra = (*extra, f"outputs.buffers=[{buffers}]")
-    settings = load_pipeline(pipeline, extra)
+    settings = load_pipeline(pipeline, (*overrides, "stages=[render]"))
     options.existing(asset, "asset")
-    chosen = None if frames == "all" else options.frame_range(frames, settings.turntable.frames)
+    count = settings.turntable.frames
+    chosen = None if frames == "all" else options.frame_range(frames, count)
+    dumped = list(range(count)) if chosen is None else chosen
+    outputs: dict[str, object] = {"buffer_frames": tuple(dumped)}
+    if buffers not in (None, "list"):
+        outputs["buffers"] = options.buffer_list(buffers)
+    settings = settings.model_copy(update={"outputs": settings.outputs.model_copy(update=outputs)})
     if buffers == "list":
         _list_buffers(asset, settings, as_json)
         return

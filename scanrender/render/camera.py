@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import ConvexHull, QhullError
 
 from scanrender.settings.shot import CameraSettings
 
@@ -82,8 +83,7 @@ def frame_subject(
     tan_width = tan_height * settings.width_px / settings.height_px
     target = np.array([0.0, settings.look_up_mm, 0.0])
     points = np.asarray(positions_mm, dtype=np.float64) - target
-    # Eight thousand vertices bound a head to a fraction of a pixel.
-    points = points[:: max(1, len(points) // 8000)]
+    points = _outermost(points)
     radius = float(np.linalg.norm(points, axis=1).max(initial=1e-3))
     distance = 0.0
     for angle in np.unique(np.round(turn_angles_deg, 3)):
@@ -102,6 +102,16 @@ def frame_subject(
         near_mm=max(distance - 1.05 * radius, distance * 1e-3),
         far_mm=distance + 1.05 * radius,
     )
+
+
+def _outermost(points: Matrix) -> Matrix:
+    """The corners of the convex hull: how far a vertex reaches is a maximum of linear functions."""
+    if len(points) < 1000:
+        return points
+    try:
+        return np.asarray(points[ConvexHull(points).vertices])
+    except QhullError:  # a flat subject has no hull
+        return points
 
 
 def rotation_y(degrees: float) -> Matrix:

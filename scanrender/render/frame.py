@@ -115,7 +115,7 @@ class Renderer:
         made = self.graph.run(self.device, self.pool, shot, set(names), None, timings)
         pixels = {}
         for name, texture in made.items():
-            pixels[name] = self._read(texture)
+            pixels[name] = self._read(texture, crop=self.graph.fills_picture(name))
             self.pool.give_back(texture)
         return pixels
 
@@ -150,11 +150,11 @@ class Renderer:
             self.decisions.append(Decision("guard band", reason))
         return min(math.ceil(reach), limit)
 
-    def _read(self, texture: moderngl.Texture) -> npt.NDArray[np.float32]:
+    def _read(self, texture: moderngl.Texture, crop: bool = True) -> npt.NDArray[np.float32]:
         """(h, w, c) float32, cropped to the picture, top row first: the only flip there is."""
         width, height = texture.size
         raw = np.frombuffer(texture.read(), np.float32).reshape(height, width, -1)[::-1]
-        if texture.size == self._padded_size and self.guard_px:
+        if crop and self.guard_px:
             g = self.guard_px
             raw = raw[g:-g, g:-g]
         return np.ascontiguousarray(raw)

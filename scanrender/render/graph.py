@@ -69,7 +69,11 @@ class TexturePool:
         return texture
 
     def give_back(self, texture: moderngl.Texture) -> None:
-        self._free[(texture.size, texture.components)].append(texture)
+        # The same order in each frame: framebuffers are made for sets of textures, and a pool that
+        # hands them out by history would make new sets, and so framebuffers, without end.
+        free = self._free[(texture.size, texture.components)]
+        free.append(texture)
+        free.sort(key=lambda other: -other.glo)
 
     def framebuffer(
         self, textures: Sequence[moderngl.Texture], depth: bool
@@ -101,6 +105,10 @@ class Graph:
     def names(self) -> list[str]:
         """Every buffer that can be asked for."""
         return [name for name in self._writer if not name.startswith("_")]
+
+    def fills_picture(self, name: str) -> bool:
+        """Whether buffer `name` has the picture's size; a shadow map has its own."""
+        return all(b.size is None for b in self._writer[name].writes if b.name == name)
 
     def order(self, wanted: Collection[str], given: Collection[str] = ()) -> list[Pass]:
         """The passes that `wanted` needs, each after those it reads from; `given` exist already.

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from scanrender.asset import Asset
 from scanrender.optics.kernels import gaussian_taps
+from scanrender.optics.profiles._checks import MIN_LENGTH_MM
 from scanrender.optics.profiles.gaussians import D_EON_SKIN, GaussianSum
 from scanrender.optics.surface import SpecularLobes
 from scanrender.render.camera import Camera, Matrix, rotation_y
@@ -199,14 +200,18 @@ class Scene:
 
 
 def profile_of(skin: SkinSettings) -> GaussianSum:
-    """The diffusion profile that the settings describe, scaled. A scale of 0 is sub-pixel skin."""
+    """The diffusion profile that the settings describe, scaled.
+
+    A scale of 0 is the narrowest profile that optics takes: far below any pixel.
+    """
     profile = D_EON_SKIN
     if not isinstance(skin.profile, str):
         terms = sorted(skin.profile, key=lambda term: term.variance_mm2)
         profile = GaussianSum.normalized(
             tuple(term.variance_mm2 for term in terms), tuple(term.weight for term in terms)
         )
-    return profile.scaled(max(skin.scale, 1e-6)) if skin.scale != 1.0 else profile
+    narrowest = MIN_LENGTH_MM * 1.001 / float(np.sqrt(profile.variances_mm2[0]))
+    return profile.scaled(max(skin.scale, narrowest)) if skin.scale != 1.0 else profile
 
 
 def _interleaved(asset: Asset) -> npt.NDArray[np.float32]:

@@ -6,6 +6,7 @@ and unknown tags are refused.
 
 from __future__ import annotations
 
+import copy
 import difflib
 import io
 from collections.abc import Mapping, Sequence
@@ -25,6 +26,12 @@ from scanrender.settings.pipeline import Pipeline
 Key = tuple[str | int, ...]
 MAX_EXTENDS_DEPTH = 8
 MAX_FILE_BYTES = 4_000_000
+PLAIN_TAGS = {
+    f"tag:yaml.org,2002:{kind}" for kind in ("str", "int", "float", "bool", "null", "map", "seq")
+}
+# A file of a few lines whose aliases repeat each other unfolds to more than any memory holds.
+MAX_VALUES = 20_000
+MAX_NESTING = 32
 
 
 @dataclass(frozen=True)
@@ -77,10 +84,13 @@ def _read_with_extends(path: Path, seen: tuple[Path, ...]) -> _Layer:
         raise ConfigError(f"files extend each other in a circle: {chain}", where=str(path))
     own = _read_file(path)
     bases = own.data.pop("extends", [])
+    where = own.places.get(("extends",), str(path))
+    bases = [bases] if isinstance(bases, str) else bases
+    if not isinstance(bases, list) or not all(isinstance(base, str) for base in bases):
+        raise ConfigError("extends names one file or preset, or a list of them", where)
     merged = _Layer({}, {})
-    for base in [bases] if isinstance(bases, str) else bases:
-        where = own.places.get(("extends",), str(path))
-        _merge(merged, _read_with_extends(_find_base(str(base), path, where), (*seen, path)))
+    for base in bases:
+        _merge(merged, _read_with_extends(_find_base(base, path, where), (*seen, path)))
     _merge(merged, own)
     return merged
 
@@ -122,18 +132,22 @@ def _read_file(path: Path) -> _Layer:
 
 def _plain(node: Any, key: Key, path: Path, places: dict[Key, str]) -> Any:
     """Plain Python data from ruamel's, recording where each key stands."""
+    if len(places) > MAX_VALUES or len(key) > MAX_NESTING:
+        # A value that holds itself is nested for ever.
+        raise ConfigError("too many values, or nested too deeply", places.get(key[:1], str(path)))
     if isinstance(node, TaggedScalar) or getattr(node, "tag", None) is not None:
         tag = getattr(getattr(node, "tag", None), "value", None)
-        if tag is not None and not str(tag).startswith("tag:yaml.org,2002:"):
+        if tag is not None and str(tag) not in PLAIN_TAGS:
             raise ConfigError(f"YAML tag {tag} is not allowed", where=places.get(key, str(path)))
     if isinstance(node, CommentedMap):
         result = {}
+        start = f"{path}:{(node.lc.line or 0) + 1}"
         for name, value in node.items():
             if not isinstance(name, str):
-                raise ConfigError(
-                    f"keys are words, not {name!r}", where=f"{path}:{node.lc.line + 1}"
-                )
-            places[(*key, name)] = f"{path}:{node.lc.key(name)[0] + 1}"
+                raise ConfigError(f"keys are words, not {name!r}", where=start)
+            # What a merge key (<<) brings in stands elsewhere: then the mapping's own line.
+            own = name in (node.lc.data or {})
+            places[(*key, name)] = f"{path}:{node.lc.key(name)[0] + 1}" if own else start
             result[name] = _plain(value, (*key, name), path, places)
         return result
     if isinstance(node, CommentedSeq):
@@ -145,7 +159,9 @@ def _plain(node: Any, key: Key, path: Path, places: dict[Key, str]) -> Any:
     for kind in (int, float, str):
         if isinstance(node, kind):
             return kind(node)
-    return node
+    # Dates and binary data, which YAML 1.2 does not have and no setting takes.
+    name = ".".join(str(part) for part in key)
+    raise ConfigError(f"{name}: put this value into quotes: {node}", places.get(key, str(path)))
 
 
 def _merge(under: _Layer, over: _Layer) -> None:
@@ -172,11 +188,15 @@ def _apply_override(layer: _Layer, text: str) -> None:
     except YAMLError as error:
         raise ConfigError(f"the value is not valid YAML: {value_text!r}", where=place) from error
     parts: list[str | int] = [int(p) if p.isdigit() else p for p in name.strip().split(".")]
-    if parts[0] == "lights" and "lights" not in layer.data:
-        default = Pipeline().model_dump(mode="json")["lights"]
-        layer.data["lights"] = default
+    if parts[0] == "extends":
+        raise ConfigError("extends can stand in a file only", place, "set the values themselves")
+    # Where the path crosses a list that no file gives, it starts from the default one.
+    default: Any = Pipeline().model_dump(mode="json")
     target: Any = layer.data
     for part in parts[:-1]:
+        default = default.get(part) if isinstance(default, dict) else None
+        if isinstance(default, list) and isinstance(target, dict) and part not in target:
+            target[part] = copy.deepcopy(default)
         target = _step(target, part, place)
     if isinstance(target, list):
         _step(target, parts[-1], place)
@@ -199,7 +219,10 @@ def _validate(layer: _Layer, source: str) -> Pipeline:
     try:
         return Pipeline.model_validate(layer.data)
     except ValidationError as error:
-        raise _explain(error.errors(include_url=False)[0], layer, source) from error
+        problems = error.errors(include_url=False)
+        # A mistyped key often stands behind a missing one.
+        mistyped = [problem for problem in problems if problem["type"] == "extra_forbidden"]
+        raise _explain((mistyped or problems)[0], layer, source) from error
 
 
 def _explain(problem: Any, layer: _Layer, source: str) -> ConfigError:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import difflib
 from typing import Literal
 
+from pydantic import field_validator
+
+from scanrender.buffers import CATALOGUE, buffer_spec
+from scanrender.errors import UsageError
 from scanrender.settings.base import Section, setting
 
 
@@ -26,3 +31,18 @@ class OutputSettings(Section):
     exr_layout: Literal["single", "multipart", "per_buffer"] = setting(
         "single", "One part for all layers, one part each, or one file each.", unit=""
     )
+
+    @field_validator("buffers")
+    @classmethod
+    def _buffers_exist(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        """Said now, not after minutes of preparation."""
+        for name in names:
+            try:
+                known = name == "all" or bool(buffer_spec(name))
+            except UsageError:
+                known = False
+            if not known:
+                hint = difflib.get_close_matches(name, CATALOGUE, 1)
+                meant = f", did you mean {hint[0]!r}?" if hint else ""
+                raise ValueError(f"no buffer is called {name!r}{meant}")
+        return names

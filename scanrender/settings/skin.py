@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import PositiveFloat, model_validator
+from pydantic import Field, model_validator
 
 from scanrender.settings.base import Rgb, Section, setting
+
+# What the optics of the lobes is made and checked for.
+Slope = Annotated[float, Field(ge=0.01, le=1)]
 
 
 class GaussianTerm(Section):
     """One Gaussian of a diffusion profile."""
 
-    variance_mm2: PositiveFloat = setting(
-        ..., "Variance of the Gaussian on the skin's surface.", unit="mm²"
+    variance_mm2: float = setting(
+        ..., "Variance of the Gaussian on the skin's surface.", unit="mm²", ge=1e-6, le=1e6
     )
     weight: Rgb = setting(..., "Share of the energy that it carries, per channel.", unit="1")
 
@@ -24,7 +27,7 @@ class SpecularSettings(Section):
     f0: float = setting(
         0.028, "Reflectance at normal incidence (0.028 is skin oil, n = 1.4).", unit="1", ge=0, le=1
     )
-    roughness: tuple[PositiveFloat, PositiveFloat] = setting(
+    roughness: tuple[Slope, Slope] = setting(
         (0.38, 0.22),
         "Root mean square slope m of each lobe: 0.1 wet, 0.3 skin, 0.6 matt.",
         unit="1",
@@ -88,6 +91,8 @@ class SkinSettings(Section):
             if any(abs(total - 1.0) > 1e-3 for total in sums):
                 shown = ", ".join(f"{total:.4g}" for total in sums)
                 raise ValueError(f"profile weights must sum to 1 per channel, not {shown}")
+            if len({term.variance_mm2 for term in self.profile}) < len(self.profile):
+                raise ValueError("two Gaussians of the profile have the same variance: merge them")
         return self
 
 

@@ -53,6 +53,8 @@ void main() {
     vec2 slope = plane_slope(n);
 
     bool away = dot(l, n) < 0.0;
+    // The receiver was moved toward the light; the light still has to cross that much more.
+    float buried = bias_mm * max(0.0, -dot(l, n));
     vec3 t = vec3(0.0);
     float thickness = 0.0;
     for (int i = 0; i < tap_count; ++i) {
@@ -62,7 +64,7 @@ void main() {
         // no path through skin: it counts as thick. On the lit side it is the lit face, 0 thick.
         float exit = inside.depth_mm + dot(slope, offset);
         bool no_path = away && entry > exit + bias_mm;
-        float d = no_path ? far_mm : max(0.0, exit - entry);
+        float d = no_path ? far_mm : max(0.0, exit - entry) + buried;
         thickness += d;
         // Fading in over one more bias keeps the terminator smooth when `wrap` lights it.
         t += d >= far_mm ? vec3(0.0) : smoothstep(bias_mm, 2.0 * bias_mm, d) * transmittance_at(d);
