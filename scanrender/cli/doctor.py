@@ -16,6 +16,7 @@ from scanrender.cli import options
 def command(as_json: bool) -> None:
     """Say what GL device, versions and filters are there. Exit 6 without a usable GL."""
     from scanrender.cli.checks import run_checks
+    from scanrender.errors import DeviceError
 
     checks = run_checks()
     if as_json:
@@ -26,4 +27,5 @@ def command(as_json: bool) -> None:
             if check.fix:
                 click.echo(f"      to do: {check.fix}")
     bad = [check.exit_code for check in checks if not check.ok]
-    sys.exit(max(bad) if bad else 0)
+    # Without GL nothing renders: that answer comes before any other.
+    sys.exit(DeviceError.exit_code if DeviceError.exit_code in bad else max(bad, default=0))
