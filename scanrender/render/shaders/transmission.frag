@@ -13,8 +13,8 @@ uniform sampler2D position;
 uniform sampler2D normal_geometry;
 uniform sampler2D albedo;
 uniform sampler2D skin;
-uniform sampler2D profile;     // rows of (1/(2v), wR, wG, wB)
-uniform int profile_count;
+uniform sampler2D transmittance_table;  // T over sqrt(d / opaque_mm), from the profile's closed form
+uniform float opaque_mm;       // T is nothing beyond this
 uniform float bias_mm;         // mm, the receiver is moved this far along -N
 uniform float blur_mm;         // mm, radius of the average in the light's view
 uniform float texel_mm;
@@ -29,12 +29,9 @@ layout(location = 1) out float thickness_mm;
 layout(location = 2) out vec4 transmittance;
 
 vec3 transmittance_at(float d) {
-    vec3 t = vec3(0.0);
-    for (int k = 0; k < profile_count; ++k) {
-        vec4 term = texelFetch(profile, ivec2(0, k), 0);
-        t += term.yzw * exp(-d * d * term.x);
-    }
-    return t;
+    float size = float(textureSize(transmittance_table, 0).x);
+    float u = (sqrt(d / opaque_mm) * (size - 1.0) + 0.5) / size;
+    return textureLod(transmittance_table, vec2(u, 0.5), 0.0).rgb;
 }
 
 void main() {
@@ -67,7 +64,7 @@ void main() {
         float d = no_path ? far_mm : max(0.0, exit - entry) + buried;
         thickness += d;
         // Fading in over one more bias keeps the terminator smooth when `wrap` lights it.
-        t += d >= far_mm ? vec3(0.0) : smoothstep(bias_mm, 2.0 * bias_mm, d) * transmittance_at(d);
+        t += d >= opaque_mm ? vec3(0.0) : smoothstep(bias_mm, 2.0 * bias_mm, d) * transmittance_at(d);
     }
     thickness_mm = thickness / float(tap_count);
     t /= float(tap_count);
