@@ -8,6 +8,7 @@ On disk an asset is one folder that other tools read too:
     normal_geometry.exr  object space, no detail map      curvature.exr   mean curvature, 1/mm
     ao.exr               ambient visibility in [0, 1]     thickness_mm.exr
     skin.exr             probability of skin in [0, 1]    asset.json      `info`, see below
+    prep_report.json, prep_sheet.png                      what was done and lost, for people
 
 UV origin is glTF's: (0, 0) is the top left corner of the first texel row.
 """
@@ -29,6 +30,8 @@ from scanrender.files import atomic_folder, write_json
 
 FloatArray = npt.NDArray[np.float32]
 FORMAT_VERSION = 1
+# Beside the asset's own files, for people; `load_asset` does not read them.
+PREP_REPORT, PREP_SHEET, PREP_VIEWS = "prep_report.json", "prep_sheet.png", "prep_views.npz"
 METRES_PER_MM = 0.001
 
 

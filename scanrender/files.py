@@ -2,24 +2,33 @@
 
 A reader (or a killed run) never sees a half-written file, because `os.replace` within one folder is
 atomic on every system we support. The temporary name keeps the suffix, since image and mesh
-libraries choose their format by it.
+libraries choose their format by it. It also names the process that writes it, so that what a killed
+one left behind is recognised and removed by the next (`clean_stale`).
 """
 
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import os
+import platform
+import re
 import shutil
+import tempfile
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from scanrender.errors import OutputError
 
 TEMPORARY_PREFIX = ".writing-"
+SCRATCH_PREFIX = "scanrender-"
+# PREFIX machine - process - random [old] - final name; `old` is a folder that was moved aside.
+_OWNED = re.compile(r"(?:\.writing-|scanrender-)([0-9a-f]{8})-(\d+)-\w+?(old)?-(.*)$")
 
 
 def make_folder(folder: Path) -> Path:
@@ -36,7 +45,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside `path`; on success it becomes `path`, on failure it is gone."""
     path = Path(path)
     make_folder(path.parent)
-    temporary = path.with_name(f"{TEMPORARY_PREFIX}{uuid.uuid4().hex[:8]}-{path.name}")
+    temporary = path.with_name(f"{_owned(TEMPORARY_PREFIX)}-{path.name}")
     try:
         yield temporary
         os.replace(temporary, path)
@@ -56,8 +65,10 @@ def atomic_folder(folder: Path | str) -> Iterator[Path]:
     """
     folder = Path(folder)
     make_folder(folder.parent)
-    temporary = folder.with_name(f"{TEMPORARY_PREFIX}{uuid.uuid4().hex[:8]}-{folder.name}")
-    retired = temporary.with_name(temporary.name + "-old")
+    clean_stale(folder.parent)
+    owned = _owned(TEMPORARY_PREFIX)
+    temporary = folder.with_name(f"{owned}-{folder.name}")
+    retired = folder.with_name(f"{owned}old-{folder.name}")
     try:
         if folder.exists() and not folder.is_dir():
             raise FileExistsError(errno.EEXIST, "a file has that name")
@@ -73,6 +84,63 @@ def atomic_folder(folder: Path | str) -> Iterator[Path]:
             os.replace(retired, folder)
         shutil.rmtree(temporary, ignore_errors=True)
         shutil.rmtree(retired, ignore_errors=True)
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """Yield an empty folder for large intermediate files in the system's temporary folder."""
+    clean_stale(Path(tempfile.gettempdir()), SCRATCH_PREFIX)
+    folder = Path(tempfile.mkdtemp(prefix=f"{_owned(SCRATCH_PREFIX)}-"))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def clean_stale(folder: Path, prefix: str = TEMPORARY_PREFIX) -> None:
+    """Remove from `folder` what killed processes of this machine left half-written.
+
+    A process that died between its two renames left the earlier folder aside: it comes back.
+    """
+    with suppress(OSError):
+        for path in folder.iterdir():
+            owner = _OWNED.match(path.name) if path.name.startswith(prefix) else None
+            if owner is None or owner[1] != _machine() or _is_alive(int(owner[2])):
+                continue
+            with suppress(OSError):
+                if path.is_symlink():
+                    continue
+                if owner[3] and not (folder / owner[4]).exists():
+                    os.replace(path, folder / owner[4])
+                elif path.is_dir():
+                    shutil.rmtree(path, ignore_errors=True)
+                else:
+                    path.unlink()
+
+
+def _owned(prefix: str) -> str:
+    return f"{prefix}{_machine()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+
+
+@cache
+def _machine() -> str:
+    """Where process numbers mean the same: output folders are shared by hosts and containers."""
+    space = ""
+    with suppress(OSError):
+        space = os.readlink("/proc/self/ns/pid")
+    return hashlib.sha256(f"{platform.node()} {space}".encode()).hexdigest()[:8]
+
+
+def _is_alive(process: int) -> bool:
+    if os.name != "posix":
+        return True  # signal 0 is not a question on Windows: nothing is removed there
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        return True
+    return True
 
 
 def write_text(path: Path | str, text: str) -> Path:

@@ -138,8 +138,9 @@ def write_png8(path: Path | str, encoded: npt.NDArray[Any]) -> Path:
     return write_image(path, levels.astype(np.uint8), attributes=FAST_PNG)
 
 
-# zlib's default level takes three times as long for 3 % of the size.
-FAST_PNG = {"png:compressionLevel": 4}
+# Level 1 after the "up" filter (32): of a 4096 x 4096 normal map a third of the time that zlib's
+# default takes, for 3 % more bytes; of an albedo half the time for a sixth more.
+FAST_PNG = {"png:compressionLevel": 1, "png:filter": 32}
 
 
 _OIIO_TYPES = {

@@ -10,6 +10,7 @@ from typing import Any
 
 from scanrender import __version__
 from scanrender.asset import Asset, check_replaceable, load_asset
+from scanrender.batch.prep_report import draw_prep_sheet
 from scanrender.batch.turntable import Progress, write_turntable
 from scanrender.errors import OutputError
 from scanrender.files import make_folder, write_text
@@ -104,6 +105,7 @@ def _prepare(
 
     started = time.perf_counter()
     asset = prepare(scan, pipeline.scan, pipeline.prep, folder, progress=progress)
+    draw_prep_sheet(folder)
     result.stages["prep"] = time.perf_counter() - started
     result.warnings += [str(sentence) for sentence in asset.info.get("warnings", [])]
     result.files.append("asset/")

@@ -41,19 +41,24 @@ def command(
     options.existing(scan, "scan")
     from scanrender.asset import check_replaceable
     from scanrender.batch.job import check_writable
+    from scanrender.batch.prep_report import draw_prep_sheet
     from scanrender.scan.prepare import prepare
 
     check_writable(out.parent)
     check_replaceable(out)
     with progress(progress_kind) as show:
-        asset = prepare(scan, settings.scan, settings.prep, out, progress=show, as_is=as_is)
+        asset = prepare(
+            scan, settings.scan, settings.prep, out, progress=show, as_is=as_is, maps=()
+        )
+        sheet = draw_prep_sheet(out)
     if as_json:
         click.echo(json.dumps({"asset": str(out), **asset.info}, indent=2))
         return
     low, high = asset.mesh.bounds_mm
     size = " x ".join(f"{side:.0f}" for side in high - low)
-    click.echo(
-        f"{out}/: {len(asset.mesh.faces):,} triangles, {size} mm, maps: {', '.join(asset.maps)}"
-    )
+    maps = ", ".join(asset.info["maps"])
+    click.echo(f"{out}/: {len(asset.mesh.faces):,} triangles, {size} mm, maps: {maps}")
+    if sheet is not None:
+        click.echo(f"  what was done and lost: {sheet}")
     for sentence in asset.info.get("warnings", []):
         click.echo(f"  warning: {sentence}")

@@ -12,7 +12,7 @@ from scanrender.scan.pages import Page
 from scanrender.scan.project import Projector, Samples
 from scanrender.scan.rasterize import rasterize
 from scanrender.scan.raw import NO_PAGE
-from scanrender.scan.rays import CHUNK, Hits
+from scanrender.scan.rays import Hits
 from scanrender.scan.surface import Surface
 from scanrender.scan.topology import face_areas
 
@@ -70,7 +70,7 @@ class ColorSource:
             return np.broadcast_to(self.default, (len(hits.face), 3)).astype(np.float32)
         if self.kind == "vertex":
             assert surface.colors is not None
-            corners = surface.colors[surface.faces[hits.face]]
+            corners = np.take(surface.colors, surface.faces[hits.face], axis=0)
             return np.asarray(np.einsum("kc,kcd->kd", hits.bary, corners), np.float32)
         assert surface.corner_uv is not None
         assert self.substitute is not None
@@ -88,7 +88,7 @@ class ColorSource:
 
 def bake_albedo(source: ColorSource, samples: Samples) -> npt.NDArray[np.float32]:
     """Linear colours (k, 3) at the texels of `samples`: one sample each."""
-    return np.concatenate([source.at(hits) for _, _, hits in samples.pieces()])
+    return samples.bake([((3,), np.float32)], lambda _, hits: [source.at(hits)])[0]
 
 
 def bake_albedo_supersampled(
@@ -96,27 +96,21 @@ def bake_albedo_supersampled(
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_], float]:
     """(size, size, 3) linear, the covered texels (size, size), and the share of nearest points."""
     mesh = projector.mesh
-    texels = rasterize(mesh.uv, mesh.faces, size * supersample)
-    total = np.zeros((3, size * size))
-    weight = np.zeros(size * size)
-    missed = 0.0
-    for start in range(0, len(texels.index), CHUNK):
-        part = texels.rows(start, start + CHUNK)
-        hits, share = projector.project(part)
-        missed += share * len(part.index)
-        color = source.at(hits)
-        fine_row, fine_column = np.divmod(part.index, texels.size)
-        texel = (fine_row // supersample) * size + fine_column // supersample
-        # Samples come row by row: only a strip of the map is touched.
-        first, last = int(texel.min()), int(texel.max()) + 1
-        texel, count = texel - first, last - first
-        for channel in range(3):
-            total[channel, first:last] += np.bincount(texel, color[:, channel], count)
-        weight[first:last] += np.bincount(texel, minlength=count)
-    covered = weight > 0
-    albedo = (total / np.maximum(weight, 1.0)).T.astype(np.float32)
-    shape = (size, size)
-    return albedo.reshape(*shape, 3), covered.reshape(shape), missed / max(1, len(texels.index))
+    total = np.zeros((size * size, 3), np.float32)
+    weight = np.zeros(size * size, np.float32)
+    missed = count = 0.0
+    # One pass for each place inside the texels, so that memory is that of one sample.
+    for place in np.ndindex(supersample, supersample):
+        shift = (np.array(place) + 0.5) / supersample - 0.5
+        texels = rasterize(mesh.uv - shift / size, mesh.faces, size)
+        samples = Samples(texels, *projector.project(texels))
+        total[texels.index] += bake_albedo(source, samples)
+        weight[texels.index] += 1.0
+        missed += samples.missed * len(texels.index)
+        count += len(texels.index)
+    total /= np.maximum(weight, 1.0)[:, None]
+    covered = (weight > 0).reshape(size, size)
+    return total.reshape(size, size, 3), covered, missed / max(1.0, count)
 
 
 def sampling(source_mm: float, texel_mm: float) -> tuple[int, int]:

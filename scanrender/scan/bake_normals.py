@@ -10,6 +10,7 @@ import numpy.typing as npt
 from scanrender.asset import Mesh
 from scanrender.scan.pages import Page
 from scanrender.scan.project import Samples
+from scanrender.scan.rasterize import Texels
 from scanrender.scan.raw import NO_PAGE
 from scanrender.scan.rays import Hits
 from scanrender.scan.surface import Surface
@@ -37,7 +38,7 @@ class NormalSource:
             ).astype(np.float32)
 
     def smooth(self, hits: Hits) -> Array:
-        corners = self.normals[self.surface.faces[hits.face]]
+        corners = np.take(self.normals, self.surface.faces[hits.face], axis=0)
         return unit(np.einsum("kc,kcd->kd", hits.bary, corners), fallback=(0.0, 0.0, 1.0))
 
     def detailed(self, hits: Hits, smooth: Array) -> Array:
@@ -64,22 +65,23 @@ class NormalSource:
 
 def bake_normals(
     mesh: Mesh, source: NormalSource, samples: Samples
-) -> tuple[npt.NDArray[np.float32], float]:
-    """Tangent-space normals (k, 3) at the texels, and the mean angle in degrees to the raw ones."""
-    out = np.empty((len(samples.texels.index), 3), np.float32)
-    deviation = 0.0
-    corner_normals, corner_tangents = mesh.normals[mesh.faces], mesh.tangents[mesh.faces]
-    for cut, part, hits in samples.pieces():
-        normal = part.interpolate(corner_normals)
-        tangent = part.interpolate(corner_tangents)
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Tangent-space normals (k, 3) at the texels, and the angles (k,) in degrees between the
+    prepared and the raw surface there."""
+    table = np.concatenate([mesh.normals, mesh.tangents], axis=1)[mesh.faces]
+
+    def work(texels: Texels, hits: Hits) -> tuple[Array, Array]:
+        frame = texels.interpolate(table)
+        normal, tangent = frame[:, :3], frame[:, 3:]
         own = unit(normal, fallback=(0.0, 0.0, 1.0))
         smooth = source.smooth(hits)
         raw = source.detailed(hits, smooth)
         raw = np.where((hits.distance > FOREIGN_MM)[:, None], own, raw)
         cosine = np.einsum("ij,ij->i", smooth, own)
-        deviation += float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).sum())
         local = to_tangent_space(raw, normal, tangent)
         # A normal below the horizon cannot be stored usefully: lean it back to grazing.
         local[:, 2] = np.maximum(local[:, 2], 0.02)
-        out[cut] = unit(local)
-    return out, deviation / max(1, len(samples.texels.index))
+        return unit(local), np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+    local, angle = samples.bake([((3,), np.float32), ((), np.float32)], work)
+    return local, angle

@@ -1,9 +1,10 @@
 """Child processes that may crash, hang or be killed without taking the parent along.
 
-The parent writes arrays to an .npz in a temporary folder, starts `python -m scanrender.scan.worker`
-and reads another .npz back. Standard output of the child carries one JSON line per event:
-`{"stage": name, "fraction": x}`, `{"error": {...}}`; anything else that a library prints goes to
-the child's standard error, whose tail is quoted when the child dies.
+A child never outlives its parent (`worker.tie_to_parent`). The parent writes arrays to an .npz in a
+scratch folder, starts `python -m scanrender.scan.worker` and reads another .npz back. Standard
+output of the child carries one JSON line per event: `{"stage": name, "fraction": x}`,
+`{"error": {...}}`; anything else that a library prints goes to the child's standard error, whose
+tail is quoted when the child dies.
 """
 
 from __future__ import annotations
@@ -27,9 +28,11 @@ import numpy.typing as npt
 
 from scanrender import errors
 from scanrender.errors import ScanrenderError, StageError
+from scanrender.files import scratch_folder
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 Progress = Callable[[str, float], None]
+PARENT = "SCANRENDER_PARENT"  # environment variable: the process a worker must not outlive
 
 
 def run_task(
@@ -39,8 +42,7 @@ def run_task(
 
     Raises StageError when the child crashes or takes longer than timeout_s.
     """
-    with tempfile.TemporaryDirectory(prefix="scanrender-") as name:
-        folder = Path(name)
+    with scratch_folder() as folder:
         np.savez(folder / "in.npz", **arrays)  # type: ignore[arg-type]
         (folder / "params.json").write_text(json.dumps(dict(params)), encoding="utf-8")
         run_worker([task, str(folder)], timeout_s)
@@ -65,10 +67,10 @@ def run_worker(
     with tempfile.TemporaryFile() as stderr:
         process = subprocess.Popen(
             command,
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,  # never written: its end tells the child that we are gone
             stdout=subprocess.PIPE,
             stderr=stderr,
-            env=_environment(),
+            env=_environment(arguments[1]),
             start_new_session=own_group,
         )
         stage = arguments[0]
@@ -77,8 +79,9 @@ def run_worker(
         finally:
             if process.poll() is None:
                 _kill(process, own_group)
-            if process.stdout is not None:
-                process.stdout.close()
+            for stream in (process.stdin, process.stdout):
+                if stream is not None:
+                    stream.close()
         if process.returncode != 0:
             raise _crash(process.returncode, stage, _tail(stderr))
 
@@ -165,8 +168,12 @@ def _kill(process: subprocess.Popen[bytes], own_group: bool) -> None:
     process.wait()
 
 
-def _environment() -> dict[str, str]:
-    """The parent's environment, with this very package importable and hashing fixed."""
+def _environment(folder: str) -> dict[str, str]:
+    """The parent's environment, with this very package importable and hashing fixed.
+
+    The child's temporary files lie in `folder`, which the parent removes even if the child dies.
+    """
     root = str(Path(errors.__file__).resolve().parents[1])
     paths = [root, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "PYTHONHASHSEED": "0"}
+    own = {"PYTHONPATH": os.pathsep.join(paths), "PYTHONHASHSEED": "0"}
+    return {**os.environ, **own, "TMPDIR": folder, PARENT: str(os.getpid())}

@@ -9,15 +9,22 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.errors import ConfigError
+from scanrender.scan.facing import find_facing, spread_samples
 from scanrender.scan.raw import RawMesh
-from scanrender.scan.topology import area_normals
+from scanrender.scan.topology import edges_of
 from scanrender.settings.scan import ScanSettings
 
 MM_PER = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 # Largest extent of what is scanned: a face alone to head, bust and shoulders; or a whole person.
 BUST_MM = (150.0, 800.0)
 PERSON_MM = (1200.0, 2300.0)
+HEAD_MM = (190.0, 300.0)  # from the neck's narrowest place to the crown, child to tall adult
+HEAD_TYPICAL_MM = 240.0
 ASSUMED_MM = 320.0  # head with neck, when nothing else can be said
+TURN_DEG = 15.0  # a face that looks further than this past an axis is turned onto it
+_BASE = 0.2  # the lowest part of a bust, where the rim of its base lies even when it is tilted
+# An axis, the reason, and the confidence: stated, high, medium or low.
+_Verdict = tuple[str, str, str]
 
 
 @dataclass(frozen=True)
@@ -56,26 +63,39 @@ def find_frame(
 
     Raises ConfigError when the stated axes do not make a frame.
     """
-    up, up_reason = _up_axis(raw, positions, settings)
-    front, front_reason = _front_axis(raw, positions, faces, up, settings)
-    vertical, forward = _axis(up), _axis(front)
+    up = _up_axis(raw, positions, faces, settings)
+    front, past, head = _front(raw, positions, faces, up, settings)
+    vertical, forward = _axis(up[0]), _axis(front[0])
     if abs(float(vertical @ forward)) > 0.5:
         raise ConfigError(
-            f"scan.up {up} and scan.front {front} lie on the same axis",
+            f"scan.up {up[0]} and scan.front {front[0]} lie on the same axis",
             "scan.up, scan.front",
             "name two different axes",
         )
+    forward = _turned(vertical, forward, past)
     rotation = np.stack([np.cross(vertical, forward), vertical, forward])
     used = positions[np.unique(faces)]
     low, high = used.min(axis=0), used.max(axis=0)
-    extent = high - low
-    units = _units(raw, extent, float(np.abs(vertical) @ extent), settings)
-    axes = {"up": up, "up_reason": up_reason, "front": front, "front_reason": front_reason}
+    extent = np.ptp(used @ rotation.T, axis=0)
+    units = _units(raw, extent, head, settings)
+    axes = {
+        "up": up[0],
+        "up_reason": up[1],
+        "up_confidence": up[2],
+        "front": front[0],
+        "front_turn_deg": past,
+        "front_reason": front[1],
+        "front_confidence": front[2],
+    }
     warnings = []
     if units["confidence"] == "low":
         warnings.append(f"the scale is a guess: {units['reason']}; state scan.units or height_mm")
-    if "guess" in front_reason or "guess" in up_reason:
-        warnings.append(f"the orientation is a guess (up {up}, front {front}): state scan.up")
+    unsure = [name for name, verdict in (("up", up), ("front", front)) if verdict[2] == "low"]
+    if unsure:
+        warnings.append(
+            f"the orientation is a guess (up {up[0]}, front {front[0]}): "
+            f"state {' and '.join('scan.' + name for name in unsure)}"
+        )
     return Frame(rotation, units["mm_per_unit"], 0.5 * (low + high), units, axes, tuple(warnings))
 
 
@@ -90,24 +110,39 @@ def _name(axis: int, sign: float) -> str:
 
 
 def _units(
-    raw: RawMesh, extent: npt.NDArray[np.float64], height: float, settings: ScanSettings
+    raw: RawMesh, extent: npt.NDArray[np.float64], head: float | None, settings: ScanSettings
 ) -> dict[str, Any]:
+    """extent (3,): across, up and forward; head: neck to crown, where known; in scan units."""
+
     def verdict(mm: float, reason: str, confidence: str) -> dict[str, Any]:
         return {"mm_per_unit": float(mm), "reason": reason, "confidence": confidence}
 
     if settings.height_mm is not None:
-        return verdict(settings.height_mm / height, "scan.height_mm states the height", "stated")
+        return verdict(
+            settings.height_mm / float(extent[1]), "scan.height_mm states the height", "stated"
+        )
     if settings.units != "auto":
         mm = MM_PER[settings.units] if isinstance(settings.units, str) else settings.units
         return verdict(mm, "scan.units states the unit", "stated")
     largest = float(extent.max())
     if raw.mm_hint is not None and _fits(largest * raw.mm_hint) is not None:
         return verdict(raw.mm_hint, "the file format is in metres, and the size agrees", "high")
-    for unit in ("mm", "m", "cm"):
-        kind = _fits(largest * MM_PER[unit])
+    confidence = "medium"
+    for unit in ("mm", "m", "cm", "in"):
+        size = largest * MM_PER[unit]
+        kind = _fits(size)
+        # Inches are rare enough to need a second witness: the size of the head above its neck.
+        if unit == "in" and (head is None or not HEAD_MM[0] <= head * 25.4 <= HEAD_MM[1]):
+            continue
         if kind is not None:
-            reason = f"read as {unit}, the size is a {kind}'s: {largest * MM_PER[unit]:.0f} mm"
-            return verdict(MM_PER[unit], reason, "medium")
+            reason = f"read as {unit}, the size is a {kind}'s: {size:.0f} mm"
+            if raw.mm_hint is not None:
+                reason = f"in metres, as the file format says, it is {largest:.4g} m; {reason}"
+                confidence = "low"
+            return verdict(MM_PER[unit], reason, confidence)
+    if head is not None:
+        reason = f"no unit makes {largest:.4g} the size of a person, so the head above its neck is "
+        return verdict(HEAD_TYPICAL_MM / head, reason + f"taken as {HEAD_TYPICAL_MM:.0f} mm", "low")
     return verdict(
         ASSUMED_MM / largest,
         f"no unit makes {largest:.4g} the size of a person, so {ASSUMED_MM:.0f} mm is assumed",
@@ -122,62 +157,90 @@ def _fits(size_mm: float) -> str | None:
 
 
 def _up_axis(
-    raw: RawMesh, positions: npt.NDArray[np.float64], settings: ScanSettings
-) -> tuple[str, str]:
-    if settings.up != "auto":
-        return settings.up, "stated"
-    if raw.up_hint is not None:
-        return raw.up_hint, "the file format fixes it"
-    extent = np.ptp(positions, axis=0)
-    if extent[2] > 1.25 * extent[1] and extent[2] > 1.1 * extent[0]:
-        return "+z", "a guess: the scan is tallest along z"
-    if extent[1] >= 0.8 * extent.max():
-        return "+y", "the usual axis, and the scan is tall along it"
-    return "+y", "a guess: the usual axis"
-
-
-def _front_axis(
     raw: RawMesh,
     positions: npt.NDArray[np.float64],
     faces: npt.NDArray[np.int64],
-    up: str,
     settings: ScanSettings,
-) -> tuple[str, str]:
-    """Stated; or where an open shell looks; or across the mirror plane; or the usual axis."""
-    vertical = "xyz".index(up[1])
+) -> _Verdict:
+    if settings.up != "auto":
+        return settings.up, "scan.up states it", "stated"
+    if raw.up_hint is not None:
+        return raw.up_hint, "the file format fixes it", "high"
+    used = positions[np.unique(faces)]
+    cut = _cut_end(used, faces, positions)
+    if cut is not None:
+        return cut, "the surface is cut open at the opposite end, as a bust is", "high"
+    extent = np.ptp(used, axis=0)
+    if extent[2] > 1.25 * extent[1] and extent[2] > 1.1 * extent[0]:
+        return "+z", "a guess: the scan is tallest along z", "low"
+    if extent[1] >= 0.8 * extent.max():
+        return "+y", "the usual axis, and the scan is tall along it", "medium"
+    return "+y", "a guess: the usual axis", "low"
+
+
+def _cut_end(
+    used: npt.NDArray[np.float64],
+    faces: npt.NDArray[np.int64],
+    positions: npt.NDArray[np.float64],
+) -> str | None:
+    """The axis whose lower end holds nearly all of a wide opening: a bust cut off at its base."""
+    edges = edges_of(faces)
+    open_pairs = edges.pairs[edges.count == 1]
+    if not len(open_pairs):
+        return None
+    ends = positions[open_pairs]
+    length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+    low, extent = used.min(axis=0), np.ptp(used, axis=0)
+    if length.sum() < 0.35 * extent.sum():  # a few holes are not a base
+        return None
+    place = (ends.mean(axis=1) - low) / np.maximum(extent, 1e-300)
+    below = [float(length[place[:, axis] < _BASE].sum()) for axis in range(3)]
+    above = [float(length[place[:, axis] > 1.0 - _BASE].sum()) for axis in range(3)]
+    share = np.array(below + above) / length.sum()
+    best = int(share.argmax())
+    # Eye sockets lie at one end too, but do not span it.
+    span = np.delete(np.ptp(place, axis=0), best % 3).min()
+    if share[best] < 0.8 or span < 0.4:
+        return None
+    return _name(best % 3, 1.0 if best < 3 else -1.0)
+
+
+def _front(
+    raw: RawMesh,
+    positions: npt.NDArray[np.float64],
+    faces: npt.NDArray[np.int64],
+    up: _Verdict,
+    settings: ScanSettings,
+) -> tuple[_Verdict, float, float | None]:
+    """The axis that the face looks along, by how many degrees about `up` it looks past it, and the
+    height of the head in scan units where it could be told from the neck."""
+    vertical = _axis(up[0])
+    usual = {1: "+z", 2: "-y", 0: "+z"}["xyz".index(up[0][1])]
+    first = _axis(usual)
+    canonical = np.stack([first, np.cross(vertical, first), vertical])
+    points, normals = spread_samples(positions, faces)
+    found = find_facing(points @ canonical.T, normals @ canonical.T)
+    head = None if found is None else found.head
     if settings.front != "auto":
-        return settings.front, "stated"
-    usual = {1: "+z", 2: "-y", 0: "+z"}[vertical]
-    normal = area_normals(positions, faces)
-    mean = normal.sum(axis=0) / max(float(np.linalg.norm(normal, axis=1).sum()), 1e-300)
-    mean[vertical] = 0.0
-    axis = int(np.abs(mean).argmax())
-    if abs(mean[axis]) > 0.12:
-        return _name(axis, mean[axis]), "the surface is open at the opposite side"
-    mirror = _mirror_axis(positions, faces, vertical)
-    if mirror is not None and mirror == "xyz".index(usual[1]):
-        other = 3 - vertical - mirror
-        return _name(other, 1.0), "a guess: the left and right halves mirror along the usual front"
-    return usual, "a guess: the usual axis"
+        return (settings.front, "scan.front states it", "stated"), 0.0, head
+    if found is None:
+        if raw.up_hint is not None:
+            reason = "the file format's convention; the shape does not say"
+            return (usual, reason, "medium"), 0.0, head
+        return (usual, "a guess: the usual axis, since the shape does not say", "low"), 0.0, head
+    quarter = round(found.yaw / (np.pi / 2.0))
+    past = float(np.degrees(found.yaw - quarter * np.pi / 2.0))
+    forward = np.cos(quarter * np.pi / 2.0) * first + np.sin(quarter * np.pi / 2.0) * canonical[1]
+    axis = int(np.abs(forward).argmax())
+    confidence = "low" if up[2] == "low" else found.confidence
+    reason = ("a guess like its up axis: " if up[2] == "low" else "") + found.reason
+    # The pose of a head in its scan is rarely exact: only a plain turn is taken out.
+    past = float(round(past)) if abs(past) > TURN_DEG else 0.0
+    return (_name(axis, forward[axis]), reason, confidence), past, head
 
 
-def _mirror_axis(
-    positions: npt.NDArray[np.float64], faces: npt.NDArray[np.int64], vertical: int
-) -> int | None:
-    """The horizontal axis along which the shape mirrors clearly better than along the other."""
-    from scipy.spatial import cKDTree
-
-    points = positions[np.unique(faces)]
-    rng = np.random.default_rng(0)
-    if len(points) > 20_000:
-        points = points[rng.choice(len(points), 20_000, replace=False)]
-    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    tree = cKDTree(points)
-    error = {}
-    for axis in range(3):
-        if axis != vertical:
-            mirrored = points[::7].copy()
-            mirrored[:, axis] = 2.0 * centre[axis] - mirrored[:, axis]
-            error[axis] = float(np.median(tree.query(mirrored)[0]))
-    (a, error_a), (_, error_b) = sorted(error.items(), key=lambda item: item[1])
-    return a if error_a < 0.6 * error_b else None
+def _turned(
+    vertical: npt.NDArray[np.float64], forward: npt.NDArray[np.float64], degrees: float
+) -> npt.NDArray[np.float64]:
+    angle = np.radians(degrees)
+    return np.asarray(np.cos(angle) * forward + np.sin(angle) * np.cross(vertical, forward))

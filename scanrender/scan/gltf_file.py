@@ -21,6 +21,7 @@ from scanrender.scan.safe_path import inside
 
 _COMPONENT = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_MOST_ZEROS = 1 << 28
 _UNDERSTOOD = {
     "KHR_draco_mesh_compression", "EXT_texture_webp", "KHR_mesh_quantization",
     "KHR_texture_transform", "KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness",
@@ -102,8 +103,13 @@ class GltfFile:
         entry = self.json["accessors"][index]
         width, count = _WIDTH[entry["type"]], entry["count"]
         dtype = np.dtype(_COMPONENT[entry["componentType"]])
-        if count < 0 or count * width * dtype.itemsize > 1 << 36:
-            raise ScanError(f"{self.path.name}: an accessor of {count} elements", str(self.path))
+        # Elements without bytes in the file are zeros, which only sparse accessors have a use for.
+        if count < 0 or ("bufferView" not in entry and count * width > _MOST_ZEROS):
+            raise ScanError(
+                f"{self.path.name} says that it has {count} elements where it has no data",
+                str(self.path),
+                "export it again",
+            )
         if "bufferView" in entry:
             values = self._strided(entry, dtype, width)
         else:
@@ -155,7 +161,7 @@ class GltfFile:
         uri = image.get("uri", "")
         if "bufferView" not in image and not uri.startswith("data:"):
             file = inside(self.path.parent, uri, self.path)
-            if not file.is_file():
+            if file is None:
                 notes.append(f"the image {uri} is missing")
                 return None
             return read_page(file, encoding)
@@ -180,7 +186,7 @@ class GltfFile:
         if uri.startswith("data:"):
             return base64.b64decode(uri.split(",", 1)[1])
         file = inside(self.path.parent, uri, self.path)
-        if not file.is_file():
+        if file is None:
             raise ScanError(
                 f"{self.path.name} needs {uri}, which is missing", str(self.path), "copy it too"
             )

@@ -10,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.scan.surface import Surface
-from scanrender.scan.topology import boundary_loops, edges_of
+from scanrender.scan.topology import boundary_loops, components, edges_of
 
 # The dynamic programme takes n^3 / 6 steps: past this a fan around the middle is used.
 LEAST_AREA_LIMIT = 32
+RIM = 1.5  # a piece less than this much larger than its loop is a flake, the loop its rim
 
 
 def fill_holes(surface: Surface, diameter: float) -> tuple[Surface, int]:
@@ -23,19 +24,19 @@ def fill_holes(surface: Surface, diameter: float) -> tuple[Surface, int]:
     """
     new_faces: list[npt.NDArray[np.int64]] = []
     new_points: list[npt.NDArray[np.float64]] = []
-    filled = 0
-    for loop in boundary_loops(surface.faces):
+    loops = boundary_loops(surface.faces)
+    if not loops:
+        return surface, 0
+    for number in np.flatnonzero(_are_holes(surface, loops, diameter)):
+        loop = loops[number]
         ring = surface.positions[loop]
-        middle = ring.mean(axis=0)
-        if 2.0 * np.linalg.norm(ring - middle, axis=1).max() > diameter:
-            continue
         if len(loop) <= LEAST_AREA_LIMIT:
             new_faces.append(loop[least_area(ring)])
         else:
             hub = np.full(len(loop), len(surface.positions) + len(new_points))
-            new_points.append(middle)
+            new_points.append(ring.mean(axis=0))
             new_faces.append(np.stack([loop, np.roll(loop, -1), hub], axis=1))
-        filled += 1
+    filled = len(new_faces)
     if not filled:
         return surface, 0
     before = len(surface.faces)
@@ -46,6 +47,36 @@ def fill_holes(surface: Surface, diameter: float) -> tuple[Surface, int]:
     crowded = np.asarray((edges.count > 2)[edges.half].reshape(3, -1).any(axis=0))
     crowded[:before] = False
     return (closed.keep_faces(~crowded) if crowded.any() else closed), filled
+
+
+def _are_holes(
+    surface: Surface, loops: list[npt.NDArray[np.int64]], diameter: float
+) -> npt.NDArray[np.bool_]:
+    """Which loops fit in the circle and are not the outer rim of a loose flake; all at once, since
+    a shattered scan has 10^5 of them."""
+    sizes = np.array([len(loop) for loop in loops])
+    start, of = np.cumsum(sizes) - sizes, np.repeat(np.arange(len(loops)), sizes)
+    flat = np.concatenate(loops)
+    ring = surface.positions[flat]
+    middle = np.add.reduceat(ring, start) / sizes[:, None]
+    reach = np.maximum.reduceat(np.linalg.norm(ring - middle[of], axis=1), start)
+    box = np.maximum.reduceat(ring, start) - np.minimum.reduceat(ring, start)
+    piece_size = _piece_size(surface)[flat[start]]
+    is_rim = piece_size < RIM * np.linalg.norm(box, axis=1)
+    return np.asarray((2.0 * reach <= diameter) & ~is_rim)
+
+
+def _piece_size(surface: Surface) -> npt.NDArray[np.float64]:
+    """For each vertex, the diagonal of the box around the connected piece it belongs to."""
+    count, piece = components(surface.faces, len(surface.positions))
+    order = np.argsort(piece, kind="stable")
+    start = np.searchsorted(piece[order], np.arange(count))
+    corners = surface.positions[surface.faces[order]]
+    high = np.maximum.reduceat(corners.max(axis=1), start)
+    low = np.minimum.reduceat(corners.min(axis=1), start)
+    size = np.zeros(len(surface.positions))
+    size[surface.faces] = np.linalg.norm(high - low, axis=1)[piece][:, None]
+    return size
 
 
 def least_area(ring: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:

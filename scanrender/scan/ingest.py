@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.errors import ScanError, UsageError
+from scanrender.scan.pages import Page
 from scanrender.scan.raw import NO_PAGE, RawMesh
 from scanrender.settings.scan import ScanSettings
 
@@ -47,6 +48,8 @@ def check_header(path: Path) -> None:
         raise UsageError(f"no such scan: {path}", str(path))
     if path.is_dir():
         raise ScanError(f"{path} is a folder, not a scan file", str(path), "name the mesh file")
+    if not path.is_file():  # a pipe or a device would block, or never end
+        raise ScanError(f"{path} is not a regular file", str(path), "copy the scan to a file")
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         kind = f"{suffix} files are" if suffix else "files without a suffix are"
@@ -125,11 +128,19 @@ def _usable_pages(raw: RawMesh, notes: list[str]) -> RawMesh:
     plain = np.array([max(p.size) == 1 for p in raw.pages])
     constant = (page != NO_PAGE) & plain[page]
     uv[missing & constant] = 0.5
+    for number, shown in enumerate(raw.pages):
+        if not plain[number] and (page == number).any() and _is_flat(shown):
+            notes.append(f"the texture {shown.name} is one flat colour: a placeholder?")
     lost = missing & ~constant & (page != NO_PAGE)
     if lost.any():
         notes.append(f"{int(lost.sum())} faces have an image but no texture coordinates")
         page[lost] = NO_PAGE
     return replace(raw, page=page, corner_uv=uv)
+
+
+def _is_flat(page: Page) -> bool:
+    coarse = page.pixels[:: max(1, page.size[1] // 256), :: max(1, page.size[0] // 256)]
+    return bool((coarse == coarse[:1, :1]).all())
 
 
 def _says_nothing(colors: npt.NDArray[Any]) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from scanrender.scan.floaters import drop_floaters
 from scanrender.scan.frame import find_frame
 from scanrender.scan.ingest import read_scan
+from scanrender.scan.orient import orient
 from scanrender.scan.raw import RawMesh
 from scanrender.scan.surface import surface_from_raw
 from scanrender.scan.topology import components, edges_of, face_areas
@@ -31,17 +32,17 @@ def inspect_scan(path: Path | str, settings: ScanSettings | None = None) -> dict
     count, piece = components(single.faces, len(single.positions))
     edges = edges_of(single.faces)
     area = np.bincount(piece, face_areas(single.positions, single.faces), minlength=count)
-    main = drop_floaters(single, CleanSettings().floater_fraction)
+    main, _ = orient(drop_floaters(single, CleanSettings().floater_fraction))
     frame = find_frame(raw, main.positions, main.faces, settings)
     low, high = raw.positions.min(axis=0), raw.positions.max(axis=0)
-    extent = np.ptp(main.positions[np.unique(main.faces)], axis=0)
+    size = np.ptp(frame.asset_from_raw(main.positions[np.unique(main.faces)]), axis=0)
     return {
         "file": Path(path).name,
         "vertices": len(raw.positions),
         "triangles": len(raw.faces),
         "welded_vertices": len(np.unique(welded.faces)),
         "bounds_scan_units": [low.tolist(), high.tolist()],
-        "size_mm": (np.abs(frame.rotation @ extent) * frame.mm_per_unit).tolist(),
+        "size_mm": size.tolist(),
         "units": frame.units,
         "axes": frame.axes,
         "components": count,

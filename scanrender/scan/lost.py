@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from scanrender.scan.rays import Target
+from scanrender.scan.rays import Hits, Target
 from scanrender.scan.topology import face_areas
 
 Array = npt.NDArray[Any]
@@ -36,12 +36,18 @@ def surface_distance(
 
 def sample_surface(positions: Array, faces: Array, count: int, seed: int) -> Array:
     """Points (count, 3) spread evenly by area."""
+    hits = sample_hits(positions, faces, count, seed)
+    return np.asarray(np.einsum("kc,kcd->kd", hits.bary, positions[faces[hits.face]]))
+
+
+def sample_hits(positions: Array, faces: Array, count: int, seed: int) -> Hits:
+    """The same points as faces and barycentric coordinates."""
     rng = np.random.default_rng(seed)
     area = face_areas(positions, faces)
     face = rng.choice(len(faces), count, p=area / area.sum())
     r, s = np.sqrt(rng.random(count)), rng.random(count)
     bary = np.stack([1.0 - r, r * (1.0 - s), r * s], axis=1)
-    return np.asarray(np.einsum("kc,kcd->kd", bary, positions[faces[face]]))
+    return Hits(face, bary, np.zeros(count))
 
 
 def _summary(distance: Array) -> dict[str, float]:

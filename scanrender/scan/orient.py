@@ -63,6 +63,9 @@ def _turn_outward(surface: Surface) -> tuple[Surface, int]:
     reach = np.bincount(piece, np.linalg.norm(offset, axis=1) * area, minlength=count)
     # A nearly flat sheet has hardly any flux: its file's orientation is the better evidence.
     inside_out = flux < -0.05 * reach
+    # A single triangle has none at all: what is left is rounding.
+    span = float(np.ptp(surface.positions[surface.faces.reshape(-1)], axis=0).max())
+    inside_out &= reach > 1e-9 * span * total
     flipped = inside_out[piece]
     if not flipped.any():
         return surface, 0

@@ -88,32 +88,20 @@ class Page:
 def read_page(path: Path, encoding: Encoding = "srgb", name: str | None = None) -> Page:
     """Read an image as a Page. Raises ScanError when it is absent or unreadable.
 
-    Floating-point formats (EXR, HDR) are linear whatever `encoding` says.
+    Floating-point images (EXR, HDR) are linear whatever `encoding` says.
     """
-    pixels = images.read_image(path)[:, :, :3]
-    if pixels.shape[2] < 3:
-        pixels = np.repeat(pixels[:, :, :1], 3, axis=2)
-    if path.suffix.lower() in (".exr", ".hdr"):
-        return Page(name or path.name, np.ascontiguousarray(pixels), "linear")
-    if not np.isfinite(pixels).all():
-        raise ScanError(f"image {path.name} holds non-finite values", str(path))
-    # 8-bit images come back as exact multiples of 1/255: store the bytes, a quarter of the floats.
-    scaled = pixels[:: max(1, len(pixels) // 64)] * 255.0
-    if np.abs(scaled - np.round(scaled)).max(initial=0.0) < 1e-3:
-        return Page(name or path.name, _to_integers(pixels, 255.0, np.uint8), encoding)
-    return Page(name or path.name, _to_integers(pixels, 65535.0, np.uint16), encoding)
+    called = name or path.name
+    pixels = images.read_colors(path, called)
+    if pixels.dtype == np.float32:
+        if not np.isfinite(pixels).all():
+            raise ScanError(f"image {called} holds non-finite values", str(path))
+        encoding = "linear"
+    return Page(called, pixels, encoding)
 
 
 def constant_page(name: str, linear: tuple[float, float, float]) -> Page:
     """A page of one colour, for a material that has a colour and no image."""
     return Page(name, np.ones((1, 1, 3), np.float32), "linear", linear)
-
-
-def _to_integers(pixels: npt.NDArray[Any], scale: float, dtype: Any) -> npt.NDArray[Any]:
-    out = np.empty(pixels.shape, dtype)
-    for row in range(0, len(pixels), 256):
-        out[row : row + 256] = np.clip(pixels[row : row + 256], 0, 1) * scale + 0.5
-    return out
 
 
 _TABLES: dict[str, npt.NDArray[np.float32]] = {}

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 from scanrender.asset import Asset, load_asset
-from scanrender.files import atomic_folder
+from scanrender.files import atomic_folder, scratch_folder
 from scanrender.scan.child import run_worker
 from scanrender.scan.ingest import check_header
 from scanrender.settings.prep import PrepSettings
@@ -24,28 +23,31 @@ def prepare(
     *,
     progress: Callable[[str, float], None] | None = None,
     as_is: bool = False,
+    maps: Collection[str] | None = None,
 ) -> Asset:
     """Prepare the scan at `path` and write the asset folder `out`, complete or not at all.
 
     progress(stage, fraction) is called as stages begin. as_is keeps the raw triangles, and the raw
     texture coordinates where there are usable ones. The work runs in one child process, whose
     native libraries run in children of their own: this process imports none of them. Returns the
-    asset as read back. Raises UsageError, ConfigError, ScanError, StageError, OutputError.
+    asset as read back, with the maps named in `maps` or all.
+    Raises UsageError, ConfigError, ScanError, StageError, OutputError.
     """
     path, out = Path(path), Path(out)
     check_header(path)
-    with atomic_folder(out) as folder, tempfile.TemporaryDirectory(prefix="scanrender-") as name:
+    with atomic_folder(out) as folder, scratch_folder() as scratch:
         inner = folder / "asset"
         job = {
-            "scan_path": str(path.resolve()),
+            # Not resolved: textures lie beside the name that was given, be it a link or not.
+            "scan_path": os.path.abspath(path),
             "scan": scan.model_dump(mode="json"),
             "prep": prep.model_dump(mode="json"),
             "asset": str(inner.resolve()),
             "as_is": as_is,
         }
-        (Path(name) / "job.json").write_text(json.dumps(job), encoding="utf-8")
-        run_worker(["prepare", name], prep.timeout_s, progress, own_group=True)
+        (scratch / "job.json").write_text(json.dumps(job), encoding="utf-8")
+        run_worker(["prepare", str(scratch)], prep.timeout_s, progress, own_group=True)
         for file in inner.iterdir():
             os.replace(file, folder / file.name)
         inner.rmdir()
-    return load_asset(out)
+    return load_asset(out, maps)

@@ -7,7 +7,7 @@ it meets nothing, or the back of something, the nearest point is taken.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,13 +15,15 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.asset import Mesh
+from scanrender.scan.parallel import Shape, fill_rows
 from scanrender.scan.rasterize import Texels, rasterize
-from scanrender.scan.rays import CHUNK, Hits, Target
+from scanrender.scan.rays import Hits, Target
 from scanrender.scan.topology import area_normals, unit
 
 Array = npt.NDArray[Any]
 
 CAGE_MM = (0.05, 6.0)  # smallest: float32 and flat patches; largest: never through a lip or an ear
+PIECE = 300_000  # texels at a time: temporary arrays stay near the caches, and cores stay busy
 
 
 @dataclass(frozen=True)
@@ -32,12 +34,19 @@ class Samples:
     hits: Hits
     missed: float
 
-    def pieces(self) -> Iterator[tuple[slice, Texels, Hits]]:
-        """In pieces that keep temporary arrays small."""
-        for start in range(0, len(self.texels.index), CHUNK):
-            cut = slice(start, start + CHUNK)
-            hits = Hits(self.hits.face[cut], self.hits.bary[cut], self.hits.distance[cut])
-            yield cut, self.texels.rows(start, start + CHUNK), hits
+    def piece(self, start: int, stop: int) -> tuple[Texels, Hits]:
+        """The samples start:stop."""
+        hits = self.hits
+        part = Hits(hits.face[start:stop], hits.bary[start:stop], hits.distance[start:stop])
+        return self.texels.rows(start, stop), part
+
+    def bake(
+        self, shapes: Sequence[Shape], work: Callable[[Texels, Hits], Sequence[Array]]
+    ) -> list[Array]:
+        """Arrays (k, ...) of what work(texels, hits) returns for each piece, on all cores."""
+        return fill_rows(
+            len(self.texels.index), shapes, lambda i, j: work(*self.piece(i, j)), PIECE
+        )
 
 
 @dataclass(frozen=True)
@@ -56,34 +65,33 @@ class Projector:
 
     def project(self, texels: Texels) -> tuple[Hits, float]:
         """The raw point under each texel, and the share that needed the nearest point."""
-        parts, misses = [], 0
-        for start in range(0, len(texels.index), CHUNK):
-            hits, missed = self._project(texels.rows(start, start + CHUNK))
-            parts.append(hits)
-            misses += missed
-        if not parts:
-            return Hits(np.zeros(0, np.int32), np.zeros((0, 3), np.float32), np.zeros(0)), 0.0
-        joined = Hits(
-            np.concatenate([p.face for p in parts]),
-            np.concatenate([p.bary for p in parts]),
-            np.concatenate([p.distance for p in parts]),
+        count = len(texels.index)
+        shapes: list[Shape] = [((), np.int32), ((3,), np.float32), ((), np.float32), ((), bool)]
+        face, bary, distance, missed = fill_rows(
+            count, shapes, lambda i, j: self._project(texels.rows(i, j)), PIECE
         )
-        return joined, misses / max(1, len(texels.index))
+        return Hits(face, bary, distance), float(missed.sum()) / max(1, count)
 
-    def _project(self, texels: Texels) -> tuple[Hits, int]:
-        faces = self.mesh.faces
-        point = texels.interpolate(self.mesh.positions_mm[faces])
-        normal = unit(texels.interpolate(self.mesh.normals[faces]), fallback=(0.0, 0.0, 1.0))
-        cage = texels.interpolate(self.cage[faces][:, :, None])[:, 0]
+    def _project(self, texels: Texels) -> tuple[Array, Array, Array, Array]:
+        point, normal, cage = self._rays(texels)
         hits = self.target.cast(point + normal * cage[:, None], -normal, 2.0 * cage)
         facing = np.einsum("ij,ij->i", self.target_normals[hits.face], normal) > 0.1
-        missed = np.flatnonzero((hits.face < 0) | ~facing)
+        missed = (hits.face < 0) | ~facing
         offset = np.abs(hits.distance - cage)
-        if len(missed):
-            near = self.target.nearest(point[missed])
-            hits.face[missed], hits.bary[missed] = near.face, near.bary
-            offset[missed] = near.distance
-        return Hits(hits.face, hits.bary, offset), len(missed)
+        again = np.flatnonzero(missed)
+        if len(again):
+            near = self.target.nearest(point[again])
+            hits.face[again], hits.bary[again] = near.face, near.bary
+            offset[again] = near.distance
+        return hits.face, hits.bary, offset, missed
+
+    def _rays(self, texels: Texels) -> tuple[Array, Array, Array]:
+        """Points (k, 3) on the low surface, unit normals (k, 3) and cage (k,) there."""
+        mesh = self.mesh
+        table = np.concatenate([mesh.positions_mm, mesh.normals, self.cage[:, None]], axis=1)
+        both = texels.interpolate(table[mesh.faces])
+        normal = unit(both[:, 3:6], fallback=(0.0, 0.0, 1.0))
+        return both[:, :3], normal, both[:, 6]
 
 
 def make_projector(mesh: Mesh, target: Target) -> Projector:

@@ -39,8 +39,8 @@ class Texels:
 
     def interpolate(self, corner_values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """(k, c) from values (m, 3, c) at the faces' corners."""
-        corners = corner_values[self.face]
-        return np.asarray(np.einsum("kc,kcd->kd", self.bary, corners.astype(np.float32)))
+        table = np.ascontiguousarray(corner_values, np.float32)
+        return np.asarray(np.einsum("kc,kcd->kd", self.bary, np.take(table, self.face, axis=0)))
 
     def rows(self, start: int, stop: int) -> Texels:
         """The samples start:stop, for work in pieces."""

@@ -90,8 +90,9 @@ class Target:
 
     def interpolate(self, hits: Hits, vertex_values: Array) -> Array:
         """(k, c) from values (n, c) at the mesh's vertices; hits must have a face."""
-        corners = vertex_values[self.faces[hits.face]]
-        return np.asarray(np.einsum("kc,kcd->kd", hits.bary, corners.astype(np.float32)))
+        table = np.ascontiguousarray(vertex_values, np.float32)
+        corners = np.take(table, self.faces[hits.face], axis=0)
+        return np.asarray(np.einsum("kc,kcd->kd", hits.bary, corners))
 
 
 def barycentric(points: Array, corners: Array) -> npt.NDArray[np.float32]:

@@ -20,6 +20,8 @@ from scanrender.scan.triangulate import strip_faces
 Array = npt.NDArray[Any]
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _DEEPEST = 64
+_MOST_NODES = 100_000  # visited: nodes that share children multiply, and a few lines make 2^64
+_MOST_TRIANGLES = 1 << 28
 
 
 def read_gltf(path: Path) -> RawMesh:
@@ -34,6 +36,8 @@ def read_gltf(path: Path) -> RawMesh:
                 notes.append("points and lines are ignored")
                 continue
             parts.add(_primitive(file, primitive, materials), matrix)
+            if parts.triangles > _MOST_TRIANGLES:
+                raise ScanError(f"{path.name} has too many triangles", str(path), "export a part")
     if not parts.positions:
         raise ScanError(f"{path.name} has no triangles", str(path), "export it again as a mesh")
     return parts.joined(materials, notes)
@@ -82,6 +86,22 @@ class _Materials:
         transform = (color or {}).get("extensions", {}).get("KHR_texture_transform", {})
         return len(self.pages) - 1, int(transform.get("texCoord", channel)), transform
 
+    def tinted(self, colors: Array, page: int) -> tuple[Array | None, int]:
+        """COLOR_0 and the page it leaves: the specification multiplies it with the base colour.
+
+        A material without an image gives its colour to the vertices. Beside an image, vertex
+        colours are masks or leftovers far more often than tints of a scan: they are left out.
+        """
+        colors = colors[:, :3].astype(np.float32)  # linear by the specification
+        colors = colors / 255.0 if colors.max(initial=0.0) > 1.5 else colors
+        if page == NO_PAGE:
+            return colors, page
+        if max(self.pages[page].size) == 1:
+            return colors * np.asarray(self.pages[page].factor, np.float32), NO_PAGE
+        if len(colors) and float(colors.min()) < 0.99:
+            self.notes.append("vertex colours beside a texture are ignored: the texture is used")
+        return None, page
+
 
 class _Parts:
     """Primitives in world space, waiting to be joined."""
@@ -92,7 +112,7 @@ class _Parts:
         self.uv: list[Array | None] = []
         self.page: list[Array] = []
         self.colors: list[Array | None] = []
-        self.count = 0
+        self.count = self.triangles = 0
 
     def add(self, part: dict[str, Any], matrix: Array) -> None:
         world = part["positions"] @ matrix[:3, :3].T + matrix[:3, 3]
@@ -107,6 +127,7 @@ class _Parts:
         self.colors.append(part["colors"])
         self.positions.append(world)
         self.count += len(world)
+        self.triangles += len(faces)
 
     def joined(self, materials: _Materials, notes: list[str]) -> RawMesh:
         corner_uv = None
@@ -116,6 +137,8 @@ class _Parts:
             corner_uv = np.concatenate(blank).astype(np.float32)
         colors = None
         if any(c is not None for c in self.colors):
+            if materials.pages and all(max(page.size) == 1 for page in materials.pages):
+                self._plain_to_vertices(materials.pages)
             both = zip(self.colors, self.positions, strict=True)
             colors = np.concatenate([np.ones((len(p), 3)) if c is None else c for c, p in both])
         return RawMesh(
@@ -130,6 +153,14 @@ class _Parts:
             up_hint="+y",
             mm_hint=1000.0,
         )
+
+    def _plain_to_vertices(self, pages: list[Page]) -> None:
+        """Beside vertex colours, materials of one colour become vertex colours too."""
+        for i, page in enumerate(self.page):
+            if self.colors[i] is None and len(page) and page[0] != NO_PAGE:
+                count = len(self.positions[i])
+                self.colors[i] = np.tile(np.asarray(pages[page[0]].factor), (count, 1))
+                self.page[i] = np.full_like(page, NO_PAGE)
 
 
 def _primitive(file: GltfFile, primitive: dict[str, Any], materials: _Materials) -> dict[str, Any]:
@@ -146,8 +177,7 @@ def _primitive(file: GltfFile, primitive: dict[str, Any], materials: _Materials)
     if uv is not None and transform:
         uv = _transformed(uv, transform)
     if colors is not None:
-        colors = colors[:, :3].astype(np.float32)  # linear by the specification
-        colors = colors / 255.0 if colors.max(initial=0.0) > 1.5 else colors
+        colors, page = materials.tinted(colors, page)
     positions = found["positions"].astype(np.float64)
     return {"positions": positions, "faces": faces, "uv": uv, "colors": colors, "page": page}
 
@@ -199,11 +229,12 @@ def _instances(file: GltfFile) -> list[tuple[int, Array]]:
     else:
         children = {c for node in nodes for c in node.get("children", [])}
         roots = [i for i in range(len(nodes)) if i not in children]
-    found = []
+    found, visited = [], 0
     waiting = [(root, np.eye(4), 0) for root in reversed(roots)]
     while waiting:
         index, parent, depth = waiting.pop()
-        if depth > _DEEPEST:
+        visited += 1
+        if depth > _DEEPEST or visited > _MOST_NODES:
             raise ScanError(f"{file.path.name}: its nodes form a loop", str(file.path))
         node = nodes[index]
         matrix = parent @ _local(node)

@@ -1,4 +1,4 @@
-"""Wavefront OBJ with its MTL: polygons, several materials, vertex colours, negative indices.
+"""Wavefront OBJ: polygons, several materials, vertex colours, negative indices; MTL: `read_mtl`.
 
 The text is classified line by line once, then numbers are parsed in bulk by NumPy: about 2 s per
 million triangles.
@@ -15,12 +15,9 @@ import numpy.typing as npt
 
 from scanrender.errors import ScanError
 from scanrender.images import linear_from_srgb
-from scanrender.scan.pages import Page, constant_page, read_page
-from scanrender.scan.raw import NO_PAGE, RawMesh
-from scanrender.scan.safe_path import inside
+from scanrender.scan.raw import RawMesh
+from scanrender.scan.read_mtl import read_materials
 from scanrender.scan.triangulate import fan_corners
-
-_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".tga", ".exr", ".webp")
 
 
 @dataclass
@@ -72,7 +69,7 @@ def read_obj(path: Path) -> RawMesh:
     triangles = fan_corners(sizes)
     polygon_of = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
     notes: list[str] = []
-    pages, normal_pages, page = _materials(
+    pages, normal_pages, page = read_materials(
         path, lines.libraries, lines.switches, len(polygons), notes
     )
     corner_uv = None
@@ -84,7 +81,7 @@ def read_obj(path: Path) -> RawMesh:
         )[triangles].astype(np.float32)
     colors = None
     if table.shape[1] >= 6:
-        colors = _colors(table[:, 3:6])
+        colors = _colors(table[:, 3:6], notes)
     return RawMesh(
         positions=np.ascontiguousarray(table[:, :3]),
         faces=corners[triangles, 0],
@@ -97,10 +94,15 @@ def read_obj(path: Path) -> RawMesh:
     )
 
 
-def _colors(stored: npt.NDArray[Any]) -> npt.NDArray[np.float32] | None:
+def _colors(stored: npt.NDArray[Any], notes: list[str]) -> npt.NDArray[np.float32] | None:
     """`v x y z r g b`: sRGB in [0, 1], or in [0, 255] as some exporters write."""
-    if not np.isfinite(stored).all():
-        stored = np.nan_to_num(stored)
+    known = np.isfinite(stored).all(axis=1)
+    if not known.any():
+        notes.append("the vertex colours are not numbers: they are ignored")
+        return None
+    if not known.all():
+        notes.append(f"{int((~known).sum())} vertices have no colour: they take the mean one")
+        stored = np.where(known[:, None], stored, stored[known].mean(axis=0))
     scale = 255.0 if stored.max() > 1.5 else 1.0
     return np.asarray(linear_from_srgb(stored / scale), np.float32)
 
@@ -163,117 +165,3 @@ def _indices(flat: list[bytes]) -> npt.NDArray[np.int64]:
             return np.ascontiguousarray(table[:, :2])
     rows = [[*token.split(b"/"), b"", b""][:2] for token in flat]
     return np.array([[int(row[0]), int(row[1] or 0)] for row in rows], np.int64)
-
-
-def _materials(
-    path: Path,
-    libraries: list[str],
-    switches: list[tuple[int, str]],
-    polygon_count: int,
-    notes: list[str],
-) -> tuple[tuple[Page, ...], tuple[Page | None, ...], npt.NDArray[np.int16]]:
-    """The pages, their normal maps, and the page of each polygon."""
-    materials: dict[str, dict[str, str]] = {}
-    for library in libraries:
-        file = inside(path.parent, library, path)
-        if file.is_file():
-            materials.update(read_mtl(file))
-        else:
-            notes.append(f"the material file {library} is missing")
-    pages: list[Page] = []
-    normals: list[Page | None] = []
-    index_of: dict[str, int] = {}
-    page = np.full(polygon_count, NO_PAGE, np.int16)
-    for position, (start, name) in enumerate(switches):
-        end = switches[position + 1][0] if position + 1 < len(switches) else polygon_count
-        if start < end and name in materials:
-            if name not in index_of:
-                index_of[name] = _add_material(path, name, materials[name], pages, normals, notes)
-            page[start:end] = index_of[name]
-    if not pages and (image := _lone_image(path)) is not None:
-        notes.append(f"no material names a texture: {image.name}, beside the scan, is used")
-        pages, normals = [read_page(image)], [None]
-        page[:] = 0
-    return tuple(pages), tuple(normals), page
-
-
-def _add_material(
-    path: Path,
-    name: str,
-    material: dict[str, str],
-    pages: list[Page],
-    normals: list[Page | None],
-    notes: list[str],
-) -> int:
-    loaded: dict[str, Page | None] = {"map_kd": None, "normal": None}
-    for key, encoding in (("map_kd", "srgb"), ("normal", "linear")):
-        if key in material:
-            image = inside(path.parent, material[key], path)
-            if image.is_file():
-                loaded[key] = read_page(image, "srgb" if encoding == "srgb" else "linear")
-            else:
-                notes.append(f"material {name} names {material[key]}, which is missing")
-    color = loaded["map_kd"]
-    if color is None:
-        rgb = tuple(float(x) for x in material.get("kd", "").split()[:3] or (1.0, 1.0, 1.0))
-        # A grey Kd is every exporter's default and says nothing about skin.
-        if len(rgb) < 3 or max(rgb) - min(rgb) < 0.02:
-            return NO_PAGE
-        color = constant_page(name, (rgb[0], rgb[1], rgb[2]))
-    pages.append(color)
-    normals.append(loaded["normal"])
-    return len(pages) - 1
-
-
-def read_mtl(path: Path) -> dict[str, dict[str, str]]:
-    """Materials by name: `map_kd`, `normal` (a tangent-space map) as file names, and `kd`."""
-    materials: dict[str, dict[str, str]] = {}
-    current: dict[str, str] = {}
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-        words = line.split(None, 1)
-        if len(words) < 2:
-            continue
-        key, value = words[0].lower(), words[1].strip()
-        if key == "newmtl":
-            current = materials.setdefault(value, {})
-        elif key == "kd":
-            current["kd"] = value
-        elif key == "map_kd":
-            current["map_kd"] = _texture_name(value)
-        elif key in ("norm", "map_kn"):
-            current["normal"] = _texture_name(value)
-        elif key in ("map_bump", "bump") and "norm" in value.lower():
-            # map_bump is a height map by the standard, a normal map by several exporters.
-            current.setdefault("normal", _texture_name(value))
-    return materials
-
-
-def _texture_name(value: str) -> str:
-    """The file name after options such as `-bm 1.0` or `-o 0 0 0`; names may hold blanks."""
-    words = value.split(" ")
-    index = 0
-    while index < len(words) and words[index].startswith("-"):
-        index += 1
-        while index < len(words) - 1 and _is_option_value(words[index]):
-            index += 1
-    return " ".join(words[index:]).strip() or value
-
-
-def _is_option_value(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return word in ("on", "off", "")
-    return True
-
-
-def _lone_image(path: Path) -> Path | None:
-    """The image that obviously belongs to an OBJ whose material file is lost, or None."""
-    found = sorted(f for f in path.parent.iterdir() if f.suffix.lower() in _IMAGE_SUFFIXES)
-    stem = path.stem.lower()
-    same = [f for f in found if f.stem.lower() == stem]
-    if same:
-        return same[0]
-    color = [f for f in found if "norm" not in f.name.lower()]
-    objects = [f for f in path.parent.iterdir() if f.suffix.lower() == ".obj"]
-    return color[0] if len(color) == 1 and len(objects) == 1 else None

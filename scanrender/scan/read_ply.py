@@ -17,8 +17,9 @@ from scanrender.errors import ScanError
 from scanrender.images import linear_from_srgb
 from scanrender.scan.pages import Page, read_page
 from scanrender.scan.raw import NO_PAGE, RawMesh
+from scanrender.scan.read_mtl import lone_image
 from scanrender.scan.safe_path import inside
-from scanrender.scan.triangulate import fan_corners, strip_faces
+from scanrender.scan.triangulate import fan_corners, onto_vertices, strip_faces
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
@@ -70,12 +71,13 @@ def read_ply(path: Path) -> RawMesh:
     positions = np.stack([vertex[axis] for axis in "xyz"], axis=1).astype(np.float64)
     notes: list[str] = []
     faces, corner_uv, polygon_of = _faces(tables, vertex)
-    pages = _pages(path, header, notes)
-    page = np.full(len(faces), 0 if pages else NO_PAGE, np.int16)
     face_table = tables.get("face", {})
-    if len(pages) > 1 and "texnumber" in face_table and len(polygon_of):
-        number = np.asarray(face_table["texnumber"])[polygon_of]
-        page = np.where((number >= 0) & (number < len(pages)), number, NO_PAGE).astype(np.int16)
+    textures = header.textures
+    if not textures and corner_uv is not None and (image := lone_image(path)) is not None:
+        notes.append(f"the file names no texture: {image.name}, beside the scan, is used")
+        textures = [image.name]
+    pages, index = _pages(path, textures, notes)
+    page = _page_of(index, face_table, polygon_of, len(faces))
     colors = _colors(vertex)
     if colors is None and len(polygon_of) == len(faces):
         colors = _face_colors(face_table, polygon_of, faces, len(positions), notes)
@@ -99,6 +101,8 @@ def _header(stream: BinaryIO, path: Path) -> _Header:
             textures.append(line.decode("utf-8", "replace").split(None, 2)[2].strip())
         elif words[0] == "element":
             elements.append(_Element(words[1], int(words[2])))
+            if elements[-1].count < 0:
+                raise _truncated(path, elements[-1])
         elif words[0] == "property" and elements:
             elements[-1].properties.append(
                 _Property(words[4], _TYPES[words[3]], _TYPES[words[2]])
@@ -119,11 +123,22 @@ def _truncated(path: Path, element: _Element) -> ScanError:
 
 
 class _BinaryRows:
+    """Rows of the body. Nothing is read or allocated that the file is not long enough for."""
+
     def __init__(self, stream: BinaryIO, path: Path, header: _Header) -> None:
         self.stream, self.path, self.order = stream, path, header.order
+        self.size = path.stat().st_size
+
+    def _holds(self, size: int) -> bool:
+        return size <= self.size - self.stream.tell()
 
     def element(self, element: _Element) -> dict[str, Any]:
         lists = [p for p in element.properties if p.count_dtype]
+        smallest = sum(np.dtype(p.count_dtype or p.dtype).itemsize for p in element.properties)
+        if not element.properties:
+            return {}
+        if not self._holds(smallest * element.count):
+            raise _truncated(self.path, element)
         if not lists:
             dtype = np.dtype([(p.name, self.order + p.dtype) for p in element.properties])
             return self._plain(element, dtype)
@@ -131,8 +146,6 @@ class _BinaryRows:
 
     def _plain(self, element: _Element, dtype: np.dtype[Any]) -> dict[str, Any]:
         data = self.stream.read(dtype.itemsize * element.count)
-        if len(data) < dtype.itemsize * element.count:
-            raise _truncated(self.path, element)
         table = np.frombuffer(data, dtype, element.count)
         return {p.name: table[p.name] for p in element.properties}
 
@@ -151,8 +164,8 @@ class _BinaryRows:
         if not fields:
             return {p.name: _no_rows(p) for p in element.properties} if not element.count else None
         dtype = np.dtype(fields)
-        data = self.stream.read(dtype.itemsize * element.count)
-        if len(data) == dtype.itemsize * element.count:
+        if self._holds(dtype.itemsize * element.count):
+            data = self.stream.read(dtype.itemsize * element.count)
             table = np.frombuffer(data, dtype, element.count)
             lengths = {p.name: dtype[p.name].shape[0] for p in element.properties if p.count_dtype}
             if all((table[name + "#"] == length).all() for name, length in lengths.items()):
@@ -193,10 +206,9 @@ class _BinaryRows:
 
     def _values(self, dtype: str, count: int) -> Array | None:
         kind = np.dtype(self.order + dtype)
-        if count < 0 or count > 1 << 31:
+        if count < 0 or not self._holds(kind.itemsize * count):
             return None
-        data = self.stream.read(kind.itemsize * count)
-        return np.frombuffer(data, kind) if len(data) == kind.itemsize * count else None
+        return np.frombuffer(self.stream.read(kind.itemsize * count), kind)
 
 
 class _AsciiRows:
@@ -210,6 +222,8 @@ class _AsciiRows:
             raise _truncated(self.path, element)
         self.next += element.count
         width = len(element.properties)
+        if not width:
+            return {}
         if not any(p.count_dtype for p in element.properties):
             flat = np.array(b" ".join(lines).split(), dtype="S").astype(np.float64)
             if len(flat) != width * element.count:
@@ -263,18 +277,35 @@ def _faces(tables: dict[str, Any], vertex: dict[str, Any]) -> tuple[Array, Array
         triangles = fan_corners(sizes)
         polygon_of = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
         faces = corners[triangles]
-        texcoord = face.get("texcoord")
-        if texcoord is not None and len(texcoord[1]) == 2 * len(corners):
-            uv = np.asarray(texcoord[1], np.float32).reshape(-1, 2)
-            uv = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1)
+        uv = _corner_uv(face.get("texcoord"), sizes)
+        if uv is not None:
             return faces, uv[triangles], polygon_of
     elif "tristrips" in tables:
-        strips = np.asarray(next(iter(tables["tristrips"].values()))[1], np.int64)
+        lengths, strips = next(iter(tables["tristrips"].values()))
+        # Rows are strips of their own, and -1 cuts a strip within a row.
+        strips = np.insert(np.asarray(strips, np.int64), np.cumsum(lengths)[:-1], -1)
+        strips = np.where(strips == 0xFFFFFFFF, -1, strips)
         faces, polygon_of = strip_faces(strips), np.zeros(0, np.int64)
     else:
         faces, polygon_of = np.zeros((0, 3), np.int64), np.zeros(0, np.int64)
-    in_range = (faces >= 0).all() and (faces < len(vertex["x"])).all()
-    return faces, vertex_uv[faces] if vertex_uv is not None and in_range else None, polygon_of
+    if vertex_uv is None or not len(vertex_uv):
+        return faces, None, polygon_of
+    # Faces that name no vertex are dropped by `ingest`: any coordinate will do for them.
+    return faces, vertex_uv[np.clip(faces, 0, len(vertex_uv) - 1)], polygon_of
+
+
+def _corner_uv(texcoord: Any, sizes: Array) -> Array | None:
+    """UV (c, 2) of all corners end to end; NaN for polygons that have none of their own."""
+    if not isinstance(texcoord, tuple) or len(texcoord[0]) != len(sizes):
+        return None
+    lengths, values = np.asarray(texcoord[0], np.int64), np.asarray(texcoord[1], np.float32)
+    own = (lengths == 2 * sizes) & (sizes > 0)
+    if not own.any():
+        return None
+    uv = np.full((int(sizes.sum()), 2), np.nan, np.float32)
+    kept = values[np.repeat(own, lengths)].reshape(-1, 2)
+    uv[np.repeat(own, sizes)] = np.stack([kept[:, 0], 1.0 - kept[:, 1]], axis=1)
+    return uv
 
 
 def _vertex_uv(vertex: dict[str, Any]) -> Array | None:
@@ -305,19 +336,29 @@ def _face_colors(
     if stored is None or not len(faces) or faces.min() < 0 or faces.max() >= vertex_count:
         return None
     notes.append("the scan is coloured per face: averaged onto its vertices")
-    flat = faces.reshape(-1)
-    count = np.maximum(np.bincount(flat, minlength=vertex_count), 1)
-    per_corner = np.repeat(stored[polygon_of], 3, axis=0)
-    mean = [np.bincount(flat, per_corner[:, k], vertex_count) / count for k in range(3)]
-    return np.stack(mean, axis=1).astype(np.float32)
+    return onto_vertices(stored[polygon_of], faces, vertex_count)
 
 
-def _pages(path: Path, header: _Header, notes: list[str]) -> tuple[Page, ...]:
-    pages = []
-    for name in header.textures:
+def _pages(path: Path, names: list[str], notes: list[str]) -> tuple[tuple[Page, ...], Array]:
+    """The textures that are there, and the page of each `texnumber` (NO_PAGE for a missing one)."""
+    pages: list[Page] = []
+    index = np.full(max(len(names), 1), NO_PAGE, np.int16)
+    for number, name in enumerate(names):
         image = inside(path.parent, name, path)
-        if image.is_file():
-            pages.append(read_page(image))
-        else:
+        if image is None:
             notes.append(f"the texture {name} is missing")
-    return tuple(pages) if len(pages) == len(header.textures) else ()
+        else:
+            index[number] = len(pages)
+            pages.append(read_page(image))
+    return tuple(pages), index
+
+
+def _page_of(
+    index: Array, face_table: dict[str, Any], polygon_of: Array, count: int
+) -> npt.NDArray[np.int16]:
+    """The page (count,) of each triangle; without texnumber all have the first texture."""
+    if len(index) < 2 or "texnumber" not in face_table or not len(polygon_of):
+        return np.full(count, index[0], np.int16)
+    number = np.asarray(face_table["texnumber"])[polygon_of].astype(np.int64)
+    known = (number >= 0) & (number < len(index))
+    return np.where(known, index[np.where(known, number, 0)], NO_PAGE).astype(np.int16)

@@ -4,32 +4,39 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from scanrender.errors import ScanError
 from scanrender.images import linear_from_srgb
 from scanrender.scan.raw import RawMesh
-from scanrender.scan.triangulate import fan_corners
+from scanrender.scan.triangulate import fan_corners, onto_vertices
 
 _NUMBER = rb"[-+0-9.eEnaifNAIF]+"
 _VERTEX = re.compile(rb"vertex\s+(%b)\s+(%b)\s+(%b)" % (_NUMBER, _NUMBER, _NUMBER), re.IGNORECASE)
+_VERTEX_WORD = re.compile(rb"^\s*vertex\b", re.IGNORECASE | re.MULTILINE)
+_OFF = re.compile(rb"([A-Z0-9]*OFF)(\d*)$", re.IGNORECASE)
 _RECORD = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("attribute", "<u2")])
+Array = npt.NDArray[Any]
+Colors = npt.NDArray[np.float32] | None
 
 
 def read_stl(path: Path) -> RawMesh:
     """Read an STL: three own vertices per face, welded later. Raises ScanError."""
     data = path.read_bytes()
     count = int(np.frombuffer(data, "<u4", 1, 80)[0]) if len(data) >= 84 else -1
-    # "solid" also begins many binary files: the size is the better evidence.
-    if count >= 0 and len(data) == 84 + _RECORD.itemsize * count:
+    size = 84 + _RECORD.itemsize * max(count, 0)
+    # "solid" also begins many binary files: the size, and facets in words, are better evidence.
+    words = data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:65536].lower()
+    if count >= 0 and len(data) == size:
         corners = np.frombuffer(data, _RECORD, count, 84)["corner"].astype(np.float64)
-    elif data.lstrip()[:5].lower() == b"solid":
-        numbers = np.array(_VERTEX.findall(data), dtype="S")
-        if len(numbers) % 3:
-            raise ScanError(f"{path.name} ends inside a triangle", str(path), "export it again")
-        corners = (numbers if len(numbers) else np.zeros(0)).astype(np.float64).reshape(-1, 3, 3)
-    elif count >= 0 and len(data) > 84 + _RECORD.itemsize * count > 84:
+    elif words:
+        corners = _ascii_corners(data, path)
+    elif data.lstrip()[:5].lower() == b"solid" and b"endsolid" in data.lower():
+        corners = np.zeros((0, 3, 3))
+    elif count >= 0 and len(data) > size > 84:
         corners = np.frombuffer(data, _RECORD, count, 84)["corner"].astype(np.float64)
     else:
         raise ScanError(
@@ -41,6 +48,13 @@ def read_stl(path: Path) -> RawMesh:
     return RawMesh(corners.reshape(-1, 3), faces)
 
 
+def _ascii_corners(data: bytes, path: Path) -> Array:
+    found = _VERTEX.findall(data)
+    if len(found) % 3 or len(found) < sum(1 for _ in _VERTEX_WORD.finditer(data)):
+        raise ScanError(f"{path.name} ends inside a triangle", str(path), "export it again")
+    return np.array(found, dtype="S").astype(np.float64).reshape(-1, 3, 3)
+
+
 def read_off(path: Path) -> RawMesh:
     """Read OFF, COFF, NOFF, STOFF: vertex lines `x y z [...]`, then `n i j k ... [colour]`."""
     lines = [
@@ -48,15 +62,17 @@ def read_off(path: Path) -> RawMesh:
         for line in path.read_bytes().splitlines()
         if (words := line.split(b"#", 1)[0].split())
     ]
-    if not lines or not lines[0][0].upper().endswith(b"OFF"):
+    begin = _OFF.match(lines[0][0]) if lines else None
+    if begin is None:
         raise ScanError(f"{path.name} does not begin like an OFF file", str(path), "export again")
-    kind = lines[0][0].upper()
-    head = lines[0][1:] or lines[1]
-    body = lines[1:] if lines[0][1:] else lines[2:]
-    if kind.startswith(b"4") or b"N4" in kind or len(head) < 2:
+    kind = begin[1].upper()
+    counts = [word for word in (begin[2], *lines[0][1:]) if word]  # some write OFF8 12 0
+    head = counts or (lines[1] if len(lines) > 1 else [])
+    body = lines[1:] if counts else lines[2:]
+    if kind.startswith(b"4") or b"N4" in kind or len(head) < 2 or not head[0].isdigit():
         raise ScanError(f"{path.name} is an unusual kind of OFF", str(path), "export it as PLY")
     vertices, polygons = int(head[0]), int(head[1])
-    if vertices < 0 or polygons < 0 or len(body) < vertices + polygons:
+    if polygons < 0 or len(body) < vertices + polygons:
         raise ScanError(
             f"{path.name} ends before its {vertices} vertices and {polygons} faces do",
             str(path),
@@ -64,14 +80,38 @@ def read_off(path: Path) -> RawMesh:
         )
     rows = body[:vertices]
     positions = np.array([row[:3] for row in rows], dtype="S").astype(np.float64).reshape(-1, 3)
-    colors = None
-    if b"C" in kind and rows and len(rows[0]) >= 6:
-        start = 6 if b"N" in kind else 3
-        stored = np.array([row[start : start + 3] for row in rows], dtype="S").astype(np.float64)
-        scale = 255.0 if stored.max() > 1.5 else 1.0
-        colors = np.asarray(linear_from_srgb(stored / scale), np.float32)
     face_rows = body[vertices : vertices + polygons]
     sizes = np.array([int(row[0]) for row in face_rows], np.int64)
+    if any(n < 0 or n >= len(row) for n, row in zip(sizes, face_rows, strict=True)):
+        raise ScanError(f"{path.name}: a face line is cut short", str(path), "export it again")
     flat = [index for row, n in zip(face_rows, sizes, strict=True) for index in row[1 : n + 1]]
     corners = np.array(flat, dtype="S").astype(np.int64) if flat else np.zeros(0, np.int64)
-    return RawMesh(positions, corners[fan_corners(sizes)], colors=colors)
+    faces = corners[fan_corners(sizes)]
+    colors, notes = _vertex_colors(kind, rows), []
+    if colors is None:
+        per_face = _face_colors(face_rows, sizes)
+        if per_face is not None and len(faces) and faces.min() >= 0 and faces.max() < vertices:
+            notes.append("the scan is coloured per face: averaged onto its vertices")
+            polygon_of = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
+            colors = onto_vertices(per_face[polygon_of], faces, vertices)
+    return RawMesh(positions, faces, colors=colors, notes=tuple(notes))
+
+
+def _vertex_colors(kind: bytes, rows: list[list[bytes]]) -> Colors:
+    start = 6 if b"N" in kind else 3
+    if b"C" not in kind or not rows or min(map(len, rows)) < start + 3:
+        return None
+    stored = np.array([row[start : start + 3] for row in rows], dtype="S").astype(np.float64)
+    scale = 255.0 if stored.max() > 1.5 else 1.0
+    return np.asarray(linear_from_srgb(stored / scale), np.float32)
+
+
+def _face_colors(rows: list[list[bytes]], sizes: npt.NDArray[np.int64]) -> Colors:
+    """`n i j k r g b [a]`: integers up to 255 or floats up to 1; a lone number is a colour map's
+    index, which says nothing without the map."""
+    tails = [row[n + 1 : n + 4] for row, n in zip(rows, sizes, strict=True)]
+    if not tails or min(map(len, tails)) < 3:
+        return None
+    stored = np.array(tails, dtype="S").astype(np.float64)
+    whole = not any(b"." in value for tail in tails[:64] for value in tail)
+    return np.asarray(linear_from_srgb(stored / (255.0 if whole else 1.0)), np.float32)

@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from scanrender.scan.surface import Surface
-from scanrender.scan.topology import edges_of, face_areas
+from scanrender.scan.topology import edges_of, face_areas, sorted_order
 
 
 def drop_extra_faces(surface: Surface) -> Surface:
@@ -40,7 +40,7 @@ def split_vertices(surface: Surface) -> Surface:
     faces = surface.faces
     count = len(faces)
     edges = edges_of(faces)
-    order = np.argsort(edges.half, kind="stable")
+    order = sorted_order(edges.half)
     first_of_edge = np.cumsum(edges.count) - edges.count
     two = np.flatnonzero(edges.count == 2)
     one, other = order[first_of_edge[two]], order[first_of_edge[two] + 1]
@@ -58,7 +58,7 @@ def split_vertices(surface: Surface) -> Surface:
     fans, label = csgraph.connected_components(graph, directed=False)
     source = np.empty(fans, np.int64)
     source[label] = corner_vertex
-    order = np.argsort(source, kind="stable")
+    order = sorted_order(source)
     position = np.empty(fans, np.int64)
     position[order] = np.arange(fans)
     return surface.renumber(position[label].reshape(3, count).T.copy(), source[order])

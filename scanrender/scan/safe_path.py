@@ -12,33 +12,45 @@ from urllib.parse import unquote
 from scanrender.errors import ScanError
 
 
-def inside(folder: Path, reference: str, named_by: Path) -> Path:
-    """The file that `reference` names, inside `folder`.
+def inside(folder: Path, reference: str, named_by: Path) -> Path | None:
+    """The file that `reference` names, inside `folder`; None when there is none of that name.
 
-    Raises ScanError for URLs, absolute paths, `..`, and symbolic links that lead outside. The file
-    may be missing: the caller decides. Case and percent-encoding are forgiven, as exporters differ.
+    Raises ScanError for URLs, and for absolute paths, `..` and symbolic links that lead outside.
+    Case and percent-encoding are forgiven, as exporters differ; so is the folder of the machine
+    that wrote the scan, when a file of the same name lies beside it here.
     """
-    text = reference.strip().replace("\\", "/")
+    text = reference.strip().strip('"').replace("\\", "/")
+    drive = re.match(r"^[A-Za-z]:/", text)
+    scheme = re.match(r"^[A-Za-z][A-Za-z0-9+.-]*:", text) and not drive
     pure = PurePosixPath(text)
-    scheme = re.match(r"^[A-Za-z][A-Za-z0-9+.-]*:", text)
-    if scheme or pure.is_absolute() or ".." in pure.parts:
-        raise ScanError(
-            f"{named_by.name} names {reference!r}, which is outside the scan's folder",
-            str(named_by),
-            "copy that file beside the scan and name it without a folder",
-        )
-    for name in dict.fromkeys((text, unquote(text))):
-        found = _find(folder, name)
+    leaves = bool(scheme or drive or _leaves(text))
+    whole = () if leaves else (text, unquote(text))
+    for name in () if scheme else dict.fromkeys((*whole, pure.name, unquote(pure.name))):
+        found = None if _leaves(name) else _find(folder, name)
         if found is None:
             continue
         if not found.resolve().is_relative_to(folder.resolve()):
             raise ScanError(
-                f"{named_by.name} names {reference!r}, a link that leaves the scan's folder",
+                f"{named_by.name} names {_short(reference)}, a link that leaves the scan's folder",
                 str(named_by),
                 "copy that file beside the scan",
             )
         return found
-    return folder / unquote(text)
+    if leaves or _leaves(unquote(text)):
+        raise ScanError(
+            f"{named_by.name} names {_short(reference)}, which is outside the scan's folder",
+            str(named_by),
+            "copy that file beside the scan and name it without a folder",
+        )
+    return None
+
+
+def _leaves(name: str) -> bool:
+    return name.startswith("/") or ".." in PurePosixPath(name).parts
+
+
+def _short(reference: str) -> str:
+    return repr(reference if len(reference) <= 120 else reference[:117] + "...")
 
 
 def _find(folder: Path, name: str) -> Path | None:

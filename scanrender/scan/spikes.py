@@ -10,7 +10,6 @@ from scipy import sparse
 from scanrender.scan.surface import Surface
 from scanrender.scan.topology import edges_of
 
-
 # A clean, evenly bent surface deviates by next to nothing: this share of the edge length keeps
 # rounding and curvature there from counting as spikes.
 EDGE_SHARE = 0.06

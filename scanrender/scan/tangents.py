@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from scanrender.scan.topology import unit
+from scanrender.scan.topology import cross, unit
 
 Array = npt.NDArray[Any]
 
@@ -69,13 +69,16 @@ def to_tangent_space(vector: Array, normal: Array, tangent: Array) -> Array:
     The frames are not orthonormal after interpolation; a renderer computes
     x * tangent + y * w * cross(normal, tangent) + z * normal, so this inverts exactly that.
     """
-    t = tangent[:, :3]
-    b = np.cross(normal, t) * tangent[:, 3:4]
-    determinant = np.einsum("ij,ij->i", t, np.cross(b, normal))
-    safe = np.where(np.abs(determinant) > 1e-12, determinant, 1.0)
-    parts = (np.cross(b, normal), np.cross(normal, t), np.cross(t, b))
+    t, w = tangent[:, :3], tangent[:, 3:4]
+    third = cross(normal, t)
+    b = third * w
+    first = cross(b, normal)
+    determinant = np.einsum("ij,ij->i", t, first)
+    flat = np.abs(determinant) <= 1e-12
+    safe = np.where(flat, 1.0, determinant)
+    parts = (first, third, cross(t, b))
     local = np.stack([np.einsum("ij,ij->i", vector, part) / safe for part in parts], axis=1)
-    local[np.abs(determinant) <= 1e-12] = (0.0, 0.0, 1.0)
+    local[flat] = (0.0, 0.0, 1.0)
     return unit(local, fallback=(0.0, 0.0, 1.0))
 
 

@@ -1,4 +1,4 @@
-"""Polygons, strips and fans to triangles, vectorised."""
+"""Polygons, strips and fans to triangles, and per-face colours to vertices, vectorised."""
 
 from __future__ import annotations
 
@@ -35,3 +35,14 @@ def strip_faces(indices: npt.NDArray[Any], restart: int = -1) -> npt.NDArray[np.
     kept = (faces != restart).all(axis=1)
     distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2])
     return np.asarray(faces[kept & distinct & (faces[:, 0] != faces[:, 2])])
+
+
+def onto_vertices(
+    per_face: npt.NDArray[Any], faces: npt.NDArray[Any], vertex_count: int
+) -> npt.NDArray[np.float32]:
+    """Colours (t, 3) of triangles as the mean (n, 3) of those around each vertex."""
+    flat = faces.reshape(-1)
+    count = np.maximum(np.bincount(flat, minlength=vertex_count), 1)
+    per_corner = np.repeat(per_face, 3, axis=0)
+    mean = [np.bincount(flat, per_corner[:, k], vertex_count) / count for k in range(3)]
+    return np.stack(mean, axis=1).astype(np.float32)

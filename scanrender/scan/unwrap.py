@@ -65,18 +65,22 @@ def unwrap(positions: Array, faces: Array, settings: UnwrapSettings, size_px: in
 
 def _by_charts(positions: Array, faces: Array, settings: UnwrapSettings, size_px: int) -> Rung:
     arrays = {"positions": positions, "faces": faces}
-    flat, _ = run_task("charts", arrays, {}, settings.timeout_s)
+    padding = settings.padding_px / size_px
+    flat, report = run_task("charts", arrays, {"padding": padding}, settings.timeout_s)
+    chart = flat["chart"]
+    if "packed" in flat:
+        return chart, flat["packed"], {"packer": "bitmap"}
+    reasons = [report["not_packed"]]
     params = {"resolution": size_px, "padding": settings.padding_px}
     try:
         packed, report = run_task("pack", flat, params, settings.timeout_s)
         if report["atlases"] == 1:
-            return flat["chart"], packed["corner_uv"], {"packer": "xatlas"}
-        reason = f"{report['atlases']} atlases"
+            return chart, packed["corner_uv"], {"packer": "xatlas", "packer_reason": reasons}
+        reasons.append(f"{report['atlases']} atlases")
     except StageError as error:
-        reason = error.what
-    padding = settings.padding_px / size_px
-    shelves = pack_shelves(flat["chart"], flat["corner_uv"], padding)
-    return flat["chart"], shelves, {"packer": "shelves", "packer_reason": reason}
+        reasons.append(error.what)
+    shelves = pack_shelves(chart, flat["corner_uv"], padding)
+    return chart, shelves, {"packer": "shelves", "packer_reason": reasons}
 
 
 def _by_xatlas(positions: Array, faces: Array, settings: UnwrapSettings, size_px: int) -> Rung:

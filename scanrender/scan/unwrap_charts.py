@@ -1,4 +1,4 @@
-"""First rung of the unwrap ladder: our own charts, flattened by SLIM, packed by xatlas.
+"""First rung of the unwrap ladder: our own charts, flattened by SLIM, packed as bitmaps.
 
 xatlas alone makes thousands of charts on noisy skin (4143 on a 50 k head); few, compact charts keep
 seams rare and mip levels clean. A piece that is not a disk, flips, overlaps itself, or stretches
@@ -8,6 +8,7 @@ Runs in a child process only.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,8 @@ from scanrender.scan.flatten import (
     isometric_triangle,
     signed_areas,
 )
+from scanrender.scan.pack import pack_charts
+from scanrender.scan.parallel import run, workers
 from scanrender.scan.rasterize import overlap_share
 from scanrender.scan.raw import NO_PAGE
 from scanrender.scan.repair import split_vertices
@@ -37,24 +40,47 @@ OVERLAP_TEST_PX = 256
 def unwrap_by_charts(
     arrays: dict[str, Any], params: dict[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """positions (n, 3), faces (m, 3) -> chart (m,) and corner_uv (m, 3, 2) in mm."""
+    """positions (n, 3), faces (m, 3), padding as a share of the atlas side -> chart (m,), corner_uv
+    (m, 3, 2) in mm, and, where our packer manages, packed (m, 3, 2) in [0, 1], y up."""
     positions, faces = arrays["positions"], arrays["faces"]
     pieces = min(int(params.get("pieces", PIECES)), max(1, len(faces) // 40))
     label = segment(positions, faces, pieces)
     waiting = [np.flatnonzero(label == piece) for piece in range(int(label.max()) + 1)]
+    shares = min(workers(), len(waiting))
+    parts = run([_flattened(positions, faces, waiting[i::shares]) for i in range(shares)])
     chart = np.full(len(faces), -1, np.int64)
     corner_uv = np.zeros((len(faces), 3, 2))
-    done, cuts = 0, 0
-    while waiting:
-        chosen = waiting.pop()
-        flat = _flat(positions, faces[chosen])
-        if flat is None:
-            cuts += 1
-            waiting += _halves(positions, faces, chosen)
-            continue
-        chart[chosen], corner_uv[chosen] = done, flat
-        done += 1
-    return {"chart": chart, "corner_uv": corner_uv}, {"charts": done, "cuts": cuts}
+    done = 0
+    for part in parts:
+        for chosen, flat in part:
+            chart[chosen], corner_uv[chosen] = done, flat
+            done += 1
+    result = {"chart": chart, "corner_uv": corner_uv}
+    report: dict[str, Any] = {"charts": done, "cuts": done - len(waiting)}
+    try:
+        result["packed"] = pack_charts(chart, corner_uv, float(params["padding"]))
+    except ValueError as error:
+        report["not_packed"] = str(error)
+    return result, report
+
+
+def _flattened(
+    positions: Array, faces: Array, waiting: list[Array]
+) -> Callable[[], list[tuple[Array, Array]]]:
+    """A job: the faces and corner UV of each piece, cut as often as it takes."""
+
+    def job() -> list[tuple[Array, Array]]:
+        left, done = list(reversed(waiting)), []
+        while left:
+            chosen = left.pop()
+            flat = _flat(positions, faces[chosen])
+            if flat is None:
+                left += _halves(positions, faces, chosen)
+            else:
+                done.append((chosen, flat))
+        return done
+
+    return job
 
 
 def _halves(positions: Array, faces: Array, chosen: Array) -> list[Array]:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from scanrender.scan.surface import Surface
-from scanrender.scan.topology import face_areas
+from scanrender.scan.topology import face_areas, sorted_order
+
+Array = npt.NDArray[Any]
 
 # Positions are compared on a grid this fine relative to the scan: float32 files hold no more.
 GRID = 1e-7
@@ -18,8 +22,10 @@ def weld(surface: Surface) -> Surface:
     low = surface.positions.min(axis=0)
     step = max(float(np.ptp(surface.positions, axis=0).max()) * GRID, 1e-300)
     cell = np.round((surface.positions - low) / step).astype(np.int64)
-    # One 64-bit key per cell (21 bits an axis would be too few, hence the sort by columns).
-    order = np.lexsort(cell.T[::-1])
+    # One 64-bit key per cell would be too short (21 bits an axis), hence the sort by columns.
+    order = sorted_order(cell[:, 2])
+    for axis in (1, 0):
+        order = order[sorted_order(cell[order, axis])]
     ordered = cell[order]
     new = np.concatenate([[True], (ordered[1:] != ordered[:-1]).any(axis=1)])
     label = np.empty(len(cell), np.int64)
@@ -28,7 +34,8 @@ def weld(surface: Surface) -> Surface:
         return surface
     source = np.full(label.max() + 1, len(cell), np.int64)
     np.minimum.at(source, label, np.arange(len(cell)))
-    rank = np.argsort(np.argsort(source))  # keep the file's order of vertices
+    rank = np.empty(len(source), np.int64)  # keep the file's order of vertices
+    rank[np.argsort(source)] = np.arange(len(source))
     label = rank[label]
     source = np.sort(source)
     welded = surface.renumber(label[surface.faces], source)
@@ -51,8 +58,12 @@ def drop_degenerate(surface: Surface) -> Surface:
 
 def drop_duplicates(surface: Surface) -> Surface:
     """Without the second copy of a face, whatever its winding (two-sided exports)."""
-    ordered = np.sort(surface.faces, axis=1)
-    _, first = np.unique(ordered, axis=0, return_index=True)
-    if len(first) == len(ordered):
+    a, b, c = np.sort(surface.faces, axis=1).T
+    order = sorted_order(c)
+    order = order[sorted_order((a * (int(b.max(initial=0)) + 1) + b)[order])]
+    same = np.zeros(len(order), bool)
+    i, j = order[1:], order[:-1]
+    same[1:] = (a[i] == a[j]) & (b[i] == b[j]) & (c[i] == c[j])
+    if not same.any():
         return surface
-    return surface.keep_faces(np.sort(first))
+    return surface.keep_faces(np.sort(order[~same]))

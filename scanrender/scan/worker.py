@@ -11,6 +11,7 @@ import json
 import os
 import signal
 import sys
+import threading
 import traceback
 from collections.abc import Callable
 from pathlib import Path
@@ -19,8 +20,11 @@ from typing import Any
 import numpy as np
 
 from scanrender.errors import ScanrenderError
+from scanrender.scan.child import PARENT
 
 Table = dict[str, Any]
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_CGROUP_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 # (arrays, parameters) -> (arrays, report)
 Task = Callable[[Table, Table], tuple[Table, Table]]
 
@@ -80,12 +84,15 @@ TASKS: dict[str, Task] = {
 
 def main(arguments: list[str]) -> int:
     task, folder = arguments[0], Path(arguments[1])
+    tie_to_parent()
+    limit_memory()
+    stage = [task]
     # The protocol keeps the real standard output; whatever libraries print joins standard error.
     protocol = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
     os.dup2(2, 1)
     try:
         if task == "prepare":
-            _prepare(folder, protocol)
+            _prepare(folder, protocol, stage)
         else:
             _run(task, folder)
         protocol.flush()
@@ -94,13 +101,58 @@ def main(arguments: list[str]) -> int:
         protocol.write(json.dumps({"error": {"kind": type(error).__name__, **document}}) + "\n")
         return error.exit_code
     except MemoryError:
-        _write_error(protocol, f"the stage '{task}' ran out of memory")
+        _write_error(protocol, f"the stage '{stage[0]}' ran out of memory")
         return 5
     except Exception as error:  # noqa: BLE001  the parent must get a sentence, whatever a library raised
         traceback.print_exc()
-        _write_error(protocol, f"the stage '{task}' failed: {type(error).__name__}: {error}")
+        what = f"the stage '{stage[0]}' failed: {type(error).__name__}: {error}"
+        _write_error(protocol, " ".join(what.split()))
         return 5
     return 0
+
+
+def tie_to_parent() -> None:
+    """End this process when its parent ends, however that happens.
+
+    Linux does it at once, even inside a library that holds the interpreter lock. Elsewhere the
+    end of standard input tells a thread, which has to wait for that lock.
+    """
+    parent = os.environ.get(PARENT)
+    if parent is None:  # started by hand
+        return
+    if sys.platform == "linux":
+        import ctypes
+
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL))
+        if os.getppid() != int(parent):  # it ended before we asked
+            os._exit(1)
+
+    def wait() -> None:
+        with contextlib.suppress(OSError):
+            while os.read(0, 1):
+                pass
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def limit_memory() -> None:
+    """No more data than the machine (or its container) has: a MemoryError beats the OOM killer."""
+    limits = []
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    for file in _CGROUP_LIMITS:
+        with contextlib.suppress(OSError, ValueError):
+            limits.append(int(Path(file).read_text(encoding="ascii")))
+    try:
+        import resource
+    except ImportError:  # Windows
+        return
+    if limits:
+        _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+        limit = min(limits) if hard == resource.RLIM_INFINITY else min(*limits, hard)
+        with contextlib.suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
 
 
 def _write_error(protocol: Any, what: str) -> None:
@@ -117,15 +169,18 @@ def _run(task: str, folder: Path) -> None:
     (folder / "report.json").write_text(json.dumps(report), encoding="utf-8")
 
 
-def _prepare(folder: Path, protocol: Any) -> None:
+def _prepare(folder: Path, protocol: Any, current: list[str]) -> None:
+    """Prepare the scan of job.json; current[0] is kept at the stage that runs."""
     from scanrender.asset import save_asset
     from scanrender.scan.pipeline import prepare_here
+    from scanrender.scan.report import write_report
     from scanrender.settings.prep import PrepSettings
     from scanrender.settings.scan import ScanSettings
 
     job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
 
     def progress(stage: str, fraction: float) -> None:
+        current[0] = stage
         protocol.write(json.dumps({"stage": stage, "fraction": fraction}) + "\n")
 
     asset = prepare_here(
@@ -134,9 +189,11 @@ def _prepare(folder: Path, protocol: Any) -> None:
         PrepSettings.model_validate(job["prep"]),
         progress=progress,
         as_is=job["as_is"],
+        views=folder / "views.npz",
     )
     progress("save", 0.97)
     save_asset(asset, Path(job["asset"]))
+    write_report(asset.info, folder / "views.npz", Path(job["asset"]))
 
 
 if __name__ == "__main__":

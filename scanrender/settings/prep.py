@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from scanrender.settings.base import Section, setting
+
+MapName = Literal[
+    "albedo", "normal_ts", "normal_geometry", "curvature", "ao", "thickness_mm", "skin"
+]
 
 
 class CleanSettings(Section):
@@ -73,6 +79,18 @@ class BakeSettings(Section):
         ge=16,
         le=8192,
     )
+    maps: tuple[MapName, ...] = setting(
+        ("albedo", "normal_ts", "normal_geometry", "curvature", "ao", "thickness_mm", "skin"),
+        "Which maps are baked; the renderer does without those that are not there.",
+        unit="",
+    )
+    supersample: int = setting(
+        0,
+        "Albedo samples along each side of a texel; 0 decides by the fineness of the raw texture.",
+        unit="samples",
+        ge=0,
+        le=8,
+    )
     footprint_mm: float = setting(
         0.3,
         "Raw normals are averaged over this radius, so that scanner noise does not sparkle.",
@@ -81,7 +99,11 @@ class BakeSettings(Section):
         le=10,
     )
     curvature_smooth_mm: float = setting(
-        2.0, "Radius over which the curvature is smoothed on the surface.", unit="mm", ge=0, le=50
+        1.0,
+        "Least radius over which the curvature is smoothed on the surface.",
+        unit="mm",
+        ge=0,
+        le=50,
     )
     ao_rays: int = setting(64, "Rays per vertex for ambient occlusion.", unit="rays", ge=4, le=4096)
     ao_distance_mm: float = setting(
@@ -102,6 +124,9 @@ class PrepSettings(Section):
     simplify: SimplifySettings = SimplifySettings()
     unwrap: UnwrapSettings = UnwrapSettings()
     bake: BakeSettings = BakeSettings()
+    report: Literal["full", "short"] = setting(
+        "full", "`short` leaves out what only measures: colour error, crossing faces.", unit=""
+    )
     timeout_s: float = setting(
         900.0, "A preparation stage that takes longer is stopped.", unit="s", ge=1, le=86_400
     )

@@ -1,0 +1,96 @@
+"""Peak memory of a process and all its descendants, and the processor seconds they took."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+PROC = Path("/proc")
+
+
+@dataclass(frozen=True)
+class Usage:
+    """seconds: wall clock; cpu_seconds: of the children; peak_tree_mib: this process and all its
+    descendants at one moment, None without /proc; peak_child_mib: the largest single child."""
+
+    seconds: float
+    cpu_seconds: float
+    peak_tree_mib: int | None
+    peak_child_mib: int
+
+
+class Watch:
+    """`with Watch() as watch: ...; watch.usage` measures what ran inside.
+
+    Memory is the proportional set size, so that pages shared between processes count once. It is
+    sampled: a peak shorter than `interval_s` may be missed, which peak_child_mib (kept by the
+    kernel, over the life of this process) bounds from below.
+    """
+
+    def __init__(self, interval_s: float = 0.1) -> None:
+        self.interval_s = interval_s
+        self.peak_kib: int | None = None
+        self.usage = Usage(0.0, 0.0, None, 0)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._poll, daemon=True)
+
+    def __enter__(self) -> Watch:
+        self._start, self._cpu = time.perf_counter(), _children()[0]
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        seconds = time.perf_counter() - self._start
+        self._stop.set()
+        self._thread.join()
+        cpu, largest = _children()
+        peak = None if self.peak_kib is None else self.peak_kib // 1024
+        self.usage = Usage(seconds, cpu - self._cpu, peak, largest)
+
+    def _poll(self) -> None:
+        while True:
+            now = tree_kib(os.getpid())
+            if now is not None:
+                self.peak_kib = max(now, self.peak_kib or 0)
+            if self._stop.wait(self.interval_s):
+                return
+
+
+def tree_kib(root: int) -> int | None:
+    """Memory in KiB of process `root` and its descendants now; None where /proc does not say."""
+    if not (PROC / "self" / "smaps_rollup").exists():
+        return None
+    parent = {}
+    for folder in PROC.iterdir():
+        if folder.name.isdigit():
+            # A process may end between the listing and the reading: it no longer counts.
+            with contextlib.suppress(OSError, ValueError, IndexError):
+                # The name in brackets may hold spaces: the fields start after the last bracket.
+                fields = (folder / "stat").read_text().rpartition(")")[2].split()
+                parent[int(folder.name)] = int(fields[1])
+    family = {root}
+    while grown := {pid for pid, above in parent.items() if above in family} - family:
+        family |= grown
+    return sum(_proportional_kib(pid) for pid in family)
+
+
+def _proportional_kib(pid: int) -> int:
+    with contextlib.suppress(OSError):
+        for line in (PROC / str(pid) / "smaps_rollup").read_text().splitlines():
+            if line.startswith("Pss:"):
+                return int(line.split()[1])
+    return 0
+
+
+def _children() -> tuple[float, int]:
+    """Processor seconds of the children that ended, and the largest one's MiB."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return 0.0, 0
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime, int(used.ru_maxrss // 1024)

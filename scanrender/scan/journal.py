@@ -1,0 +1,63 @@
+"""What happened during one preparation: seconds, notes, peak memory, warnings."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+Progress = Callable[[str, float], None]
+
+# Share of the whole preparation that has passed when a stage begins, for progress bars.
+_FRACTIONS = {
+    "ingest": 0.0,
+    "clean": 0.05,
+    "simplify": 0.2,
+    "unwrap": 0.3,
+    "project": 0.45,
+    "albedo": 0.6,
+    "normals": 0.7,
+    "geometry": 0.8,
+    "skin": 0.85,
+    "report": 0.9,
+}
+
+
+@dataclass
+class Journal:
+    """Stages as they end. Some run beside others: their seconds may add up to more than the wall
+    clock's. `at` is when a stage began, in seconds since the start."""
+
+    progress: Progress | None
+    stages: list[dict[str, Any]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    _start: float = field(default_factory=time.perf_counter)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[dict[str, Any]]:
+        """Time a stage; it is announced if progress bars know it."""
+        if self.progress is not None and name in _FRACTIONS:
+            self.progress(name, _FRACTIONS[name])
+        notes: dict[str, Any] = {}
+        start = time.perf_counter()
+        yield notes
+        self.stages.append(
+            {
+                "name": name,
+                "at": round(start - self._start, 3),
+                "seconds": round(time.perf_counter() - start, 3),
+                "peak_memory_mib": peak_mib(),
+                "notes": notes,
+            }
+        )
+
+
+def peak_mib() -> int | None:
+    """The largest memory of this process so far."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    return int(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
