@@ -71,19 +71,14 @@ class Aside(Generic[T]):
 
     def result(self) -> T:
         """What the job returned; it is done here where no copy did it."""
-        found = self.found()
-        # A copy that crashed or ran out of memory: here, its error is told.
-        return self._job() if found is None else found[0]
-
-    def found(self) -> tuple[T] | None:
-        """What the copy returned, in a tuple; None where there is no copy or it did not finish."""
         if self._reader < 0:
-            return None
+            return self._job()
         with os.fdopen(self._reader, "rb") as stream:
             data = stream.read()
         _, status = os.waitpid(self._pid, 0)
         self._reader = -1
-        return (cast(T, pickle.loads(data)),) if status == 0 else None
+        # A copy that crashed or ran out of memory: here, its error is told.
+        return cast(T, pickle.loads(data)) if status == 0 else self._job()
 
 
 def _fork(job: Callable[[], Any]) -> tuple[int, int]:

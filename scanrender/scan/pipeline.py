@@ -87,7 +87,7 @@ def prepare_here(
         "counts": counts,
         "settings": {"scan": scan.model_dump(mode="json"), "prep": prep.model_dump(mode="json")},
         "as_is": as_is,
-        "health": (health.found() or (None,))[0] if health else None,
+        "health": health.result() if health else None,
         "stages": journal.stages,
         "lost": lost,
         "warnings": journal.warnings,

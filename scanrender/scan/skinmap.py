@@ -21,11 +21,6 @@ LIGHTNESS_WEIGHT = 0.55
 REDDER_WEIGHT = 0.3
 FULL_DISTANCE = 2.0  # in spreads: certainly skin
 NO_DISTANCE = 6.0  # in spreads: certainly not
-# Sclera: share of skin's chroma that is lost, where that begins to count and where it is certain;
-# how much darker an iris or lash is than skin, and how much darker sclera may be; how near.
-PALE = (0.35, 0.55)
-DARKER = (25.0, 15.0)  # Lab lightness
-EYE_MM = 9.0
 MIN_SPREAD = 4.0  # Lab units; below this the eye itself hardly tells two skins apart
 
 
@@ -49,25 +44,7 @@ def skin_probability(
     distance = np.sqrt((scaled**2).sum(axis=-1))
     fall = np.clip((distance - FULL_DISTANCE) / (NO_DISTANCE - FULL_DISTANCE), 0.0, 1.0)
     probability = 1.0 - fall * fall * (3.0 - 2.0 * fall)
-    probability *= 1.0 - _eye_white(lab, center, covered, sigma_px)
     return probability.astype(np.float32), [float(x) for x in center]
-
-
-def _eye_white(
-    lab: Array, center: Array, covered: npt.NDArray[np.bool_], sigma_px: float
-) -> npt.NDArray[np.float32]:
-    """Where the colour is as light as skin but has lost most of its chroma, close to something
-    dark (iris, lashes): sclera. Pale skin by itself stays skin. sigma_px is about 1 mm."""
-    chroma, usual = np.hypot(lab[..., 1], lab[..., 2]), float(np.hypot(center[1], center[2]))
-    deficit = 1.0 - chroma / max(usual, 1e-6)
-    pale = np.clip((deficit - PALE[0]) / (PALE[1] - PALE[0]), 0.0, 1.0)
-    pale = pale * np.clip((lab[..., 0] - center[0] + DARKER[1]) / 6.0, 0.0, 1.0)
-    dark = covered & (lab[..., 0] < center[0] - DARKER[0])
-    size = 2 * max(1, round(EYE_MM * sigma_px)) + 1
-    near = ndimage.gaussian_filter(
-        ndimage.maximum_filter(dark.astype(np.float32), size), 2.0 * sigma_px
-    )
-    return np.asarray(pale * near, np.float32)
 
 
 def _dominant(sample: Array) -> tuple[Array, Array]:

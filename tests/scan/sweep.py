@@ -111,13 +111,12 @@ def main() -> int:
     parser.add_argument("--tsv", type=Path)
     options = parser.parse_args()
     paths = [p for p in all_scans() if p.relative_to(SCANS).match(options.only)]
-    print("| scan | outcome | s | what |\n|---|---|---|---|")
-    rows = []
     with ThreadPoolExecutor(options.jobs) as pool:
-        for row in pool.map(prepare_one, paths):  # shown as they come, in order
-            text = row.text.replace("|", "\\|")
-            print(f"| {row.file} | {row.outcome} | {row.seconds:.1f} | {text} |", flush=True)
-            rows.append(row)
+        rows = list(pool.map(prepare_one, paths))
+    print("| scan | outcome | s | what |\n|---|---|---|---|")
+    for row in rows:
+        text = row.text.replace("|", "\\|")
+        print(f"| {row.file} | {row.outcome} | {row.seconds:.1f} | {text} |")
     if options.tsv:
         lines = ["\t".join(str(x) for x in astuple(row)) for row in rows]
         options.tsv.write_text("\n".join(lines) + "\n", encoding="utf-8")
