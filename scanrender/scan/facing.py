@@ -42,7 +42,7 @@ def find_facing(points: Array, normals: Array) -> Facing | None:
     if float(np.linalg.norm(mean)) > SHEET_OPEN:
         yaw = float(np.arctan2(mean[1], mean[0]))
         return Facing(yaw, "high", "the surface is open at the opposite side")
-    head = points[_head(points)]
+    head = points[head_part(points)]
     if len(head) < 500:
         return None
     size = float(np.ptp(head, axis=0).max())
@@ -70,7 +70,7 @@ def find_facing(points: Array, normals: Array) -> Facing | None:
     return Facing(yaw, confidence, reason, height)
 
 
-def _head(points: Array) -> Array:
+def head_part(points: Array) -> Array:
     """Mask of the part above the neck: down to the narrowest slice under the broadest one."""
     height = points[:, 2]
     low, high = np.quantile(height, [0.001, 0.999])

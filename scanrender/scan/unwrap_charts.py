@@ -1,9 +1,9 @@
 """First rung of the unwrap ladder: our own charts, flattened by SLIM, packed as bitmaps.
 
-xatlas alone makes thousands of charts on noisy skin (4143 on a 50 k head); few, compact charts keep
-seams rare and mip levels clean. A piece that is not a disk, flips, overlaps itself, or stretches
-too much is cut in two, and again, down to single triangles, which always work: hence no flips.
-Runs in a child process only.
+xatlas alone makes thousands of charts on noisy skin (4143 on a 50 k head); few, compact charts
+keep seams rare and mip levels clean. The face is one of them as long as it flattens. A piece
+that is not a disk, flips, overlaps itself, or stretches too much is cut in two, and again, down to
+single triangles, which always work: hence no flips. Runs in a child process only.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from scanrender.scan.face_region import face_region
 from scanrender.scan.flatten import (
     distortion,
     flatten,
@@ -44,8 +45,9 @@ def unwrap_by_charts(
     (m, 3, 2) in mm, and, where our packer manages, packed (m, 3, 2) in [0, 1], y up."""
     positions, faces = arrays["positions"], arrays["faces"]
     pieces = min(int(params.get("pieces", PIECES)), max(1, len(faces) // 40))
-    label = segment(positions, faces, pieces)
+    label = segment(positions, faces, pieces, face_region(positions, faces))
     waiting = [np.flatnonzero(label == piece) for piece in range(int(label.max()) + 1)]
+    waiting.sort(key=len, reverse=True)  # the face takes longest: it begins first
     shares = min(workers(), len(waiting))
     parts = run([_flattened(positions, faces, waiting[i::shares]) for i in range(shares)])
     chart = np.full(len(faces), -1, np.int64)
