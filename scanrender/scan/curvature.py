@@ -19,6 +19,7 @@ from scanrender.scan.topology import (
     area_normals,
     cross,
     edges_of,
+    face_centres,
     face_pairs,
     lengths,
     unit,
@@ -89,7 +90,7 @@ def integrated_curvature(positions: Array, faces: Array) -> npt.NDArray[np.float
     sine = lengths(cross(normal[first], normal[second]))
     angle = np.arctan2(sine, np.einsum("ij,ij->i", normal[first], normal[second]))
     # Convex where the second face's centre lies below the plane of the first.
-    centre = positions[faces].mean(axis=1)
+    centre = face_centres(positions, faces)
     below = np.einsum("ij,ij->i", centre[second] - centre[first], normal[first]) < 0.0
     # Half of length * angle is the edge's integral; each of its two ends takes half of that.
     share = 0.25 * length * angle * np.where(below, 1.0, -1.0)

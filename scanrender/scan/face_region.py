@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from scanrender.scan.facing import head_part, spread_samples
 from scanrender.scan.segment import pieces_of, smoothed_face_normals
-from scanrender.scan.topology import face_areas, face_pairs
+from scanrender.scan.topology import face_areas, face_centres, face_pairs
 
 Array = npt.NDArray[Any]
 
@@ -36,7 +36,7 @@ def face_region(positions: Array, faces: Array) -> npt.NDArray[np.bool_]:
     back, front = np.quantile(head[:, 2], [0.01, 0.99])
     first, second, _ = face_pairs(faces)
     normal = smoothed_face_normals(positions, faces, SMOOTHING_SWEEPS)
-    centre = positions[faces].mean(axis=1)
+    centre = face_centres(positions, faces)
     found = (normal[:, 2] > FORWARD) & (centre[:, 1] > floor)
     found &= centre[:, 2] > back + DEPTH * (front - back)
     if not found.any():

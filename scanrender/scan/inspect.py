@@ -13,7 +13,7 @@ from scanrender.scan.ingest import read_scan
 from scanrender.scan.orient import orient
 from scanrender.scan.raw import RawMesh
 from scanrender.scan.surface import surface_from_raw
-from scanrender.scan.topology import components, edges_of, face_areas
+from scanrender.scan.topology import components, edges_of, face_areas, used_vertices
 from scanrender.scan.weld import drop_degenerate, drop_duplicates, weld
 from scanrender.settings.prep import CleanSettings
 from scanrender.settings.scan import ScanSettings
@@ -35,12 +35,13 @@ def inspect_scan(path: Path | str, settings: ScanSettings | None = None) -> dict
     main, _ = orient(drop_floaters(single, CleanSettings().floater_fraction))
     frame = find_frame(raw, main.positions, main.faces, settings)
     low, high = raw.positions.min(axis=0), raw.positions.max(axis=0)
-    size = np.ptp(frame.asset_from_raw(main.positions[np.unique(main.faces)]), axis=0)
+    used = used_vertices(main.faces, len(main.positions))
+    size = np.ptp(frame.asset_from_raw(main.positions[used]), axis=0)
     return {
         "file": Path(path).name,
         "vertices": len(raw.positions),
         "triangles": len(raw.faces),
-        "welded_vertices": len(np.unique(welded.faces)),
+        "welded_vertices": int(used_vertices(welded.faces, len(welded.positions)).sum()),
         "bounds_scan_units": [low.tolist(), high.tolist()],
         "size_mm": size.tolist(),
         "units": frame.units,

@@ -21,6 +21,7 @@ from scanrender.errors import ScanrenderError
 from scanrender.images import Image
 from scanrender.scan.bake_albedo import ColorSource
 from scanrender.scan.bake_normals import NormalSource
+from scanrender.scan.child import started_early
 from scanrender.scan.clean import Cleaned, clean
 from scanrender.scan.high import High, Low, make_high
 from scanrender.scan.ingest import read_scan
@@ -47,6 +48,7 @@ Array = npt.NDArray[Any]
 MESHLAB_TIMEOUT_S = 60.0  # it only counts: not worth waiting for
 # Health is looked at beside the cleaning, with a mesh of its own: not where memory is short.
 HEALTH_MAX_BYTES = 250_000_000
+SIMPLIFIED_BYTES = 1_000_000  # a smaller file is hardly above any budget of triangles
 
 
 def prepare_here(
@@ -63,7 +65,19 @@ def prepare_here(
     With a full report, the arrays of `views.make_views` are written to `views` (.npz). Raises
     UsageError, ConfigError, ScanError, StageError.
     """
-    journal = Journal(progress)
+    early = () if as_is else ("charts", "simplify")
+    with started_early(*early[: 2 if path.stat().st_size > SIMPLIFIED_BYTES else 1]):
+        return _prepared(path, scan, prep, Journal(progress), as_is, views)
+
+
+def _prepared(
+    path: Path,
+    scan: ScanSettings,
+    prep: PrepSettings,
+    journal: Journal,
+    as_is: bool,
+    views: Path | None,
+) -> Asset:
     health = _health(path, scan, prep)
     with journal.stage("ingest") as notes:
         raw = read_scan(path, scan)

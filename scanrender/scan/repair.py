@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from scanrender.scan.surface import Surface
-from scanrender.scan.topology import edges_of, face_areas, sorted_order
+from scanrender.scan.topology import edges_of, face_areas, sorted_order, used_vertices
 
 
 def drop_extra_faces(surface: Surface) -> Surface:
@@ -56,6 +56,8 @@ def split_vertices(surface: Surface) -> Surface:
     row, column = np.concatenate(rows), np.concatenate(columns)
     graph = sparse.coo_matrix((np.ones(len(row), np.int8), (row, column)), (3 * count, 3 * count))
     fans, label = csgraph.connected_components(graph, directed=False)
+    if fans == used_vertices(faces, len(surface.positions)).sum():
+        return surface  # one fan around each vertex already
     source = np.empty(fans, np.int64)
     source[label] = corner_vertex
     order = sorted_order(source)

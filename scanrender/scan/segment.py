@@ -15,7 +15,14 @@ from scipy import sparse
 from scipy.cluster.vq import kmeans2
 from scipy.sparse import csgraph
 
-from scanrender.scan.topology import area_normals, face_areas, face_pairs, lengths, unit
+from scanrender.scan.topology import (
+    area_normals,
+    face_areas,
+    face_centres,
+    face_pairs,
+    lengths,
+    unit,
+)
 
 Array = npt.NDArray[Any]
 
@@ -38,7 +45,7 @@ def segment(
     whole = np.zeros(count, bool) if whole is None else whole
     smooth = smoothed_face_normals(positions, faces, SMOOTHING_SWEEPS)
     scale = NORMAL_SCALE * float(np.sqrt(area.sum()))
-    centroid = positions[faces].mean(axis=1)
+    centroid = face_centres(positions, faces)
     features = np.concatenate([centroid, smooth * scale], axis=1)
     # Faces of uneven size are weighted by area through resampling; labels follow the centres.
     rng = np.random.default_rng(seed)
@@ -56,7 +63,7 @@ def segment(
 
 def split_in_two(positions: Array, faces: Array) -> Array:
     """Halves (m,) 0 or 1 of one piece, across its longest direction; both are non-empty."""
-    centroid = positions[faces].mean(axis=1)
+    centroid = face_centres(positions, faces)
     offset = centroid - centroid.mean(axis=0)
     _, _, axes = np.linalg.svd(offset, full_matrices=False)
     along = offset @ axes[0]

@@ -22,9 +22,10 @@ from scanrender.scan.surface import Surface
 from scanrender.scan.topology import area_normals, face_areas, face_pairs, unit
 from scanrender.scan.weld import drop_degenerate, drop_duplicates
 
-# How fast the collapse threshold grows per sweep. The library's default is 7; 5 keeps shape better
-# and is tried first, but may stop above a small target, which 7 and 10 then reach.
-AGGRESSIVENESS = (5.0, 7.0, 10.0)
+# How fast the collapse threshold grows per sweep. The library's default comes first: 5 takes half
+# as long again for a distance that is 4 to 8 % smaller, and may stop above a small target; it is
+# for surfaces that 7 damages. 10 reaches targets that 7 does not.
+AGGRESSIVENESS = (7.0, 10.0, 5.0)
 TOLERANCE = 1.02  # of the budget
 
 

@@ -7,6 +7,7 @@ hang, hold the interpreter lock for minutes, or carry the GPL (pymeshlab). The p
 from __future__ import annotations
 
 import contextlib
+import importlib
 import json
 import os
 import signal
@@ -20,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from scanrender.errors import ScanrenderError
-from scanrender.scan.child import PARENT
+from scanrender.scan.child import GO, LATER, PARENT
 
 Table = dict[str, Any]
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
@@ -82,10 +83,20 @@ TASKS: dict[str, Task] = {
 }
 
 
+# What a child that was started early loads while it waits.
+LIBRARIES = {
+    "simplify": ("scanrender.scan.simplify", "fast_simplification"),
+    "charts": ("scanrender.scan.unwrap_charts", "igl"),
+}
+
+
 def main(arguments: list[str]) -> int:
     task, folder = arguments[0], Path(arguments[1])
     tie_to_parent()
     limit_memory()
+    if LATER in arguments[2:] and not _told_to_go(task):
+        return 0
+    watch_parent()
     stage = [task]
     # The protocol keeps the real standard output; whatever libraries print joins standard error.
     protocol = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
@@ -111,11 +122,18 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
+def _told_to_go(task: str) -> bool:
+    """Load what the task needs, and wait; false when the parent has no work after all."""
+    for module in LIBRARIES.get(task, ()):
+        importlib.import_module(module)
+    return os.read(0, len(GO)) == GO
+
+
 def tie_to_parent() -> None:
     """End this process when its parent ends, however that happens.
 
-    Linux does it at once, even inside a library that holds the interpreter lock. Elsewhere the
-    end of standard input tells a thread, which has to wait for that lock.
+    Linux does it at once, even inside a library that holds the interpreter lock. Elsewhere
+    `watch_parent` does, when it can.
     """
     parent = os.environ.get(PARENT)
     if parent is None:  # started by hand
@@ -126,6 +144,13 @@ def tie_to_parent() -> None:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL))
         if os.getppid() != int(parent):  # it ended before we asked
             os._exit(1)
+
+
+def watch_parent() -> None:
+    """End this process with its standard input: a thread waits, and has to wait for the
+    interpreter's lock too."""
+    if PARENT not in os.environ:  # started by hand
+        return
 
     def wait() -> None:
         with contextlib.suppress(OSError):
