@@ -16,6 +16,7 @@ Array = npt.NDArray[Any]
 
 REMEMBER_FACES = 5_000_000  # beyond this the memory is worth more than the second
 _last_edges: tuple[Callable[[], Array | None], Edges | None] = (lambda: None, None)
+_last_pieces: tuple[Callable[[], Array | None], tuple[int, Array] | None] = (lambda: None, None)
 
 
 @dataclass(frozen=True)
@@ -35,17 +36,24 @@ class Edges:
 
 def edges_of(faces: Array) -> Edges:
     """The edges of (m, 3) faces. Those of the last array asked about are remembered, since one
-    cleaning step after the other asks about the same one; it becomes read-only, so that what is
-    remembered stays true."""
+    cleaning step after the other asks about the same one."""
     global _last_edges
     of, edges = _last_edges
     if edges is not None and of() is faces:
         return edges
     edges = _edges_of(faces)
-    if faces.base is None and len(faces) <= REMEMBER_FACES:
-        faces.flags.writeable = False
+    if _is_remembered(faces):
         _last_edges = weakref.ref(faces), edges
     return edges
+
+
+def _is_remembered(faces: Array) -> bool:
+    """Make faces read-only, so that what is remembered of them stays true, where that is enough
+    and worth the memory."""
+    worth = faces.base is None and len(faces) <= REMEMBER_FACES
+    if worth:
+        faces.flags.writeable = False
+    return worth
 
 
 def _edges_of(faces: Array) -> Edges:
@@ -88,7 +96,19 @@ def face_pairs(faces: Array, edges: Edges | None = None) -> tuple[Array, Array, 
 
 
 def components(faces: Array, vertex_count: int) -> tuple[int, Array]:
-    """Connected pieces by shared vertices: their number, and the piece (m,) of each face."""
+    """Connected pieces by shared vertices: their number, and the piece (m,) of each face.
+    Remembered like `edges_of`."""
+    global _last_pieces
+    of, pieces = _last_pieces
+    if pieces is not None and of() is faces:
+        return pieces
+    pieces = _components(faces, vertex_count)
+    if _is_remembered(faces):
+        _last_pieces = weakref.ref(faces), pieces
+    return pieces
+
+
+def _components(faces: Array, vertex_count: int) -> tuple[int, Array]:
     ones = np.ones(2 * len(faces), np.int8)
     rows = np.concatenate([faces[:, 0], faces[:, 0]])
     columns = np.concatenate([faces[:, 1], faces[:, 2]])

@@ -76,6 +76,38 @@ def test_crowded_edges_and_touching_fans_become_manifold():
     assert len(split.positions) == 16
 
 
+def fan(apex, ring, first, closed):
+    """Faces around vertex `apex` over the vertices first, first + 1, …, first + ring - 1."""
+    rim = first + np.arange(ring)
+    ends = np.roll(rim, -1)
+    faces = np.stack([np.full(ring, apex), rim, ends], axis=1)
+    return faces if closed else faces[:-1]
+
+
+@pytest.mark.parametrize(
+    ("fans", "copies"),
+    [
+        ([True], 1),
+        ([False], 1),
+        ([True, True], 2),
+        ([True, False], 2),
+        ([False, True], 2),
+        ([False, False, True], 3),
+    ],
+)
+@pytest.mark.parametrize("agree", [True, False])
+def test_each_fan_gets_a_vertex_of_its_own(fans, copies, agree):
+    rings = [fan(0, 5, 1 + 5 * i, closed) for i, closed in enumerate(fans)]
+    faces = np.concatenate(rings)
+    if not agree:
+        faces[1] = faces[1][::-1].copy()
+    positions = np.random.default_rng(1).normal(size=(1 + 5 * len(fans), 3))
+    split = split_vertices(surface(positions, faces))
+    same_place = (split.positions == positions[0]).all(axis=1)
+    assert same_place.sum() == copies
+    np.testing.assert_array_equal(split.positions[split.faces], positions[faces])
+
+
 def test_orientation_is_repaired_and_inside_out_turned():
     positions, faces, uv = sphere()
     rng = np.random.default_rng(0)
