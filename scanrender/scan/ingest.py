@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.errors import ScanError, UsageError
+from scanrender.scan.memory import OUT_OF_MEMORY
 from scanrender.scan.pages import Page
 from scanrender.scan.raw import NO_PAGE, RawMesh
 from scanrender.settings.scan import ScanSettings
@@ -46,7 +47,7 @@ def read_scan(path: Path | str, settings: ScanSettings | None = None) -> RawMesh
         raise ScanError(
             f"{path.name} does not fit into memory",
             str(path),
-            "raise prep.memory_mib, close other programs, or use a larger machine",
+            OUT_OF_MEMORY,
         ) from error
     except _STRAY as error:
         # The words of a library say little to most people, but help whoever has to find out.
@@ -85,6 +86,11 @@ def check_header(path: Path) -> None:
         )
     if head.startswith(b"version https://git-lfs"):
         raise ScanError(f"{path.name} is a Git LFS pointer", str(path), "run: git lfs pull")
+
+
+def named(error: ScanError, path: Path) -> ScanError:
+    """The same error, saying which scan it is about."""
+    return error if error.where else ScanError(f"{path.name}: {error.what}", str(path), error.fix)
 
 
 def _reader(suffix: str) -> Callable[[Path], RawMesh]:

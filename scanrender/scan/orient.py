@@ -12,7 +12,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from scanrender.scan.surface import Surface
-from scanrender.scan.topology import area_normals, components, edges_of, face_pairs
+from scanrender.scan.topology import area_normals, components, edges_of, face_pairs, lengths
 
 
 def orient(surface: Surface) -> tuple[Surface, dict[str, int]]:
@@ -53,14 +53,14 @@ def _turn_outward(surface: Surface) -> tuple[Surface, int]:
     count, piece = components(surface.faces, len(surface.positions))
     normal = area_normals(surface.positions, surface.faces)
     centre = surface.positions[surface.faces].mean(axis=1)
-    area = np.linalg.norm(normal, axis=1)
+    area = lengths(normal)
     total = np.maximum(np.bincount(piece, area, minlength=count), 1e-300)
     middle = np.stack(
         [np.bincount(piece, area * centre[:, k], minlength=count) / total for k in range(3)], axis=1
     )
     offset = centre - middle[piece]
     flux = np.bincount(piece, np.einsum("ij,ij->i", offset, normal), minlength=count)
-    reach = np.bincount(piece, np.linalg.norm(offset, axis=1) * area, minlength=count)
+    reach = np.bincount(piece, lengths(offset) * area, minlength=count)
     # A nearly flat sheet has hardly any flux: its file's orientation is the better evidence.
     inside_out = flux < -0.05 * reach
     # A single triangle has none at all: what is left is rounding.
