@@ -47,7 +47,7 @@ def clean(raw: RawMesh, scan: ScanSettings, settings: CleanSettings) -> Cleaned:
         surface = step(surface)
         _record(steps, name, before, surface)
         if len(surface.faces) == 0:
-            raise ScanError(f"nothing of the scan is left after the step: {name}")
+            raise nothing_left(name)
 
     apply("weld", weld)
     apply("drop degenerate faces", drop_degenerate)
@@ -73,6 +73,16 @@ def clean(raw: RawMesh, scan: ScanSettings, settings: CleanSettings) -> Cleaned:
     apply("drop degenerate faces again", drop_degenerate)
     apply("drop unused vertices again", Surface.compact)
     return Cleaned(surface, frame, tuple(steps))
+
+
+def nothing_left(step: str) -> ScanError:
+    if step.startswith("drop degenerate"):
+        what = "none of its triangles has an area"
+        return ScanError(what, fix="export it again, with all digits of its coordinates")
+    return ScanError(
+        f"nothing of the scan is left after the step: {step}",
+        fix="lower prep.clean.floater_fraction",
+    )
 
 
 def _record(steps: list[Step], name: str, before: Surface, after: Surface, **extra: int) -> None:

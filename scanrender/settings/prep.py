@@ -127,6 +127,13 @@ class PrepSettings(Section):
     report: Literal["full", "short"] = setting(
         "full", "`short` leaves out what only measures: colour error, crossing faces.", unit=""
     )
+    memory_mib: int | None = setting(
+        None,
+        "Memory that each process of a preparation may take; null: what the machine or its "
+        "container has. A scan that needs more ends with an error instead of swapping.",
+        unit="MiB",
+        ge=256,
+    )
     timeout_s: float = setting(
         900.0, "A preparation stage that takes longer is stopped.", unit="s", ge=1, le=86_400
     )
