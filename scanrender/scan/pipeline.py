@@ -35,6 +35,7 @@ from scanrender.scan.project import make_projector
 from scanrender.scan.raw import RawMesh
 from scanrender.scan.report import atlas_report, color_error
 from scanrender.scan.simplify import simplify
+from scanrender.scan.skinmask import SkinMask, read_skin_mask
 from scanrender.scan.surface import Surface
 from scanrender.scan.tangents import vertex_tangents
 from scanrender.scan.topology import edges_of, vertex_normals
@@ -82,13 +83,14 @@ def _prepared(
     with journal.stage("ingest") as notes:
         raw = read_scan(path, scan)
         notes.update(notes=list(raw.notes), color=raw.color_source)
+        mask = read_skin_mask(path, raw, prep.skin.mask) if prep.skin.mask is not None else None
         journal.warnings += raw.notes
     with journal.stage("clean") as notes:
         cleaned = clean(raw, scan, prep.clean)
         notes["steps"] = list(cleaned.steps)
         journal.warnings += cleaned.frame.warnings
     high, low, shape, lost = _shapes(cleaned, prep, journal, as_is)
-    maps, more = _baked(raw, high, low, shape, prep, journal, views)
+    maps, more = _baked(raw, high, low, shape, mask, prep, journal, views)
     lost.update(more)
     _warn_of_losses(lost, prep, low, journal)
     counts = _counts(raw, cleaned.surface, low)
@@ -203,6 +205,7 @@ def _baked(
     high: High,
     low: Low,
     shape: dict[str, Array],
+    mask: SkinMask | None,
     prep: PrepSettings,
     journal: Journal,
     views: Path | None,
@@ -213,7 +216,7 @@ def _baked(
         oven.samples(bake.albedo_px)
     color = ColorSource(high.surface, raw.pages, bake.default_albedo)
     normals = NormalSource(high.surface, high.normals, raw.normal_pages)
-    lost = bake_maps(oven, high, shape, color, normals, bake, journal)
+    lost = bake_maps(oven, high, shape, color, normals, mask, bake, journal)
     with journal.stage("report") as notes:
         lost.update(atlas_report(low, bake.albedo_px))
         if prep.report == "full" and "albedo" in oven.maps:

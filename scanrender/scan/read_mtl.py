@@ -250,6 +250,6 @@ def lone_image(path: Path) -> Path | None:
     same = [f for f in found if f.stem.lower() == path.stem.lower()]
     if same:
         return same[0]
-    color = [f for f in found if "norm" not in f.name.lower()]
+    color = [f for f in found if not any(word in f.name.lower() for word in ("norm", "mask"))]
     objects = [f for f in files if f.suffix.lower() == path.suffix.lower()]
     return color[0] if len(color) == 1 and len(objects) == 1 else None

@@ -117,6 +117,18 @@ class BakeSettings(Section):
     )
 
 
+class SkinMapSettings(Section):
+    """What counts as skin: guessed from the scan's colours, or told."""
+
+    mask: str | tuple[str, ...] | None = setting(
+        None,
+        "Image in the scan's own texture coordinates, white where there is skin; it replaces the "
+        "guess. Relative to the scan's folder; a scan of several texture pages takes a list, one "
+        "image a page in their order.",
+        unit="",
+    )
+
+
 class PrepSettings(Section):
     """Preparation of one scan."""
 
@@ -124,6 +136,7 @@ class PrepSettings(Section):
     simplify: SimplifySettings = SimplifySettings()
     unwrap: UnwrapSettings = UnwrapSettings()
     bake: BakeSettings = BakeSettings()
+    skin: SkinMapSettings = SkinMapSettings()
     report: Literal["full", "short"] = setting(
         "full", "`short` leaves out what only measures: colour error, crossing faces.", unit=""
     )
