@@ -3,7 +3,8 @@
 xatlas alone makes thousands of charts on noisy skin (4143 on a 50 k head); few, compact charts
 keep seams rare and mip levels clean. The face is one of them as long as it flattens. A piece
 that is not a disk, flips, overlaps itself, or stretches too much is cut in two, and again, down to
-single triangles, which always work: hence no flips. Runs in a child process only.
+single triangles, which always work: hence no flips. Where only a corner of a piece lies over
+another, that corner alone becomes a piece. Runs in a child process only.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy.typing as npt
 from scanrender.scan.face_region import face_region
 from scanrender.scan.flatten import (
     distortion,
-    flatten,
+    flattenings,
     is_flattenable,
     isometric_triangle,
     signed_areas,
@@ -29,12 +30,13 @@ from scanrender.scan.raw import NO_PAGE
 from scanrender.scan.repair import split_vertices
 from scanrender.scan.segment import edge_components, segment, split_in_two
 from scanrender.scan.surface import Surface
+from scanrender.scan.untangle import simple_part
 
 Array = npt.NDArray[Any]
 
 PIECES = 36
 MAX_DISTORTION = 1.25
-MAX_OVERLAP = 0.002
+MAX_OVERLAP = 0.002  # of a piece; less is taken away face by face
 OVERLAP_TEST_PX = 256
 
 
@@ -78,8 +80,10 @@ def _flattened(
             flat = _flat(positions, faces[chosen])
             if flat is None:
                 left += _halves(positions, faces, chosen)
-            else:
-                done.append((chosen, flat))
+                continue
+            kept, corner_uv = flat
+            done.append((chosen[kept], corner_uv[kept]))
+            left += _connected(faces, chosen[~kept])
         return done
 
     return job
@@ -87,29 +91,45 @@ def _flattened(
 
 def _halves(positions: Array, faces: Array, chosen: Array) -> list[Array]:
     half = split_in_two(positions, faces[chosen])
-    pieces = []
-    for side in (0, 1):
-        part = chosen[half == side]
-        connected = edge_components(faces[part])
-        pieces += [part[connected == number] for number in range(int(connected.max()) + 1)]
-    return pieces
+    return [part for side in (0, 1) for part in _connected(faces, chosen[half == side])]
 
 
-def _flat(positions: Array, faces: Array) -> Array | None:
-    """Corner UV (m, 3, 2) of one piece, or None when it must be cut further."""
+def _connected(faces: Array, chosen: Array) -> list[Array]:
+    if not len(chosen):
+        return []
+    label = edge_components(faces[chosen])
+    return [chosen[label == number] for number in range(int(label.max()) + 1)]
+
+
+def _flat(positions: Array, faces: Array) -> tuple[npt.NDArray[np.bool_], Array] | None:
+    """One piece flattened: which of its faces (m,) stay, and corner UV (m, 3, 2); those that do not
+    stay would overlap the others. None when the piece must be cut in two."""
     if len(faces) == 1:
-        return isometric_triangle(positions[faces[0]])[None]
+        return np.ones(1, bool), isometric_triangle(positions[faces[0]])[None]
     page = np.full(len(faces), NO_PAGE, np.int16)
     piece = split_vertices(Surface(positions, faces, None, page, None)).compact()
     if not is_flattenable(piece.faces):
         return None
-    uv = flatten(piece.positions, piece.faces)
+    best, fewest = None, len(faces)
+    for uv in flattenings(piece.positions, piece.faces):
+        if _is_poor(piece, uv):
+            continue
+        kept = simple_part(uv, piece.faces)
+        taken = len(faces) if kept is None else int((~kept).sum())
+        if taken < fewest:
+            best, fewest = (kept, np.asarray(uv[piece.faces])), taken
+        if not fewest:
+            break
+    return best
+
+
+def _is_poor(piece: Surface, uv: Array) -> bool:
+    """Flipped, too stretched, or lying over itself by more than a corner."""
     if not np.isfinite(uv).all() or (signed_areas(uv, piece.faces) <= 0).any():
-        return None
-    if len(faces) > 8 and distortion(piece.positions, piece.faces, uv) > MAX_DISTORTION:
-        return None
+        return True
+    count = len(piece.faces)
+    if count > 8 and distortion(piece.positions, piece.faces, uv) > MAX_DISTORTION:
+        return True
     low = uv.min(axis=0)
     scaled = (uv - low) / max(float((uv.max(axis=0) - low).max()), 1e-300)
-    if len(faces) > 2 and overlap_share(scaled, piece.faces, OVERLAP_TEST_PX) > MAX_OVERLAP:
-        return None
-    return np.asarray(uv[piece.faces])
+    return count > 2 and overlap_share(scaled, piece.faces, OVERLAP_TEST_PX) > MAX_OVERLAP
