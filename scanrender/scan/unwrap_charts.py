@@ -116,12 +116,15 @@ def _flat(
     piece = split_vertices(Surface(positions, faces, None, page, None)).compact()
     if not is_flattenable(piece.faces):
         return None
-    best, fewest = None, len(faces)
+    best: tuple[npt.NDArray[np.bool_], Array] | None = None
+    fewest = len(faces)
     for uv in flattenings(piece.positions, piece.faces):
         if _is_poor(piece, uv, most_distortion):
             continue
         kept = simple_part(uv, piece.faces)
-        taken = len(faces) if kept is None else int((~kept).sum())
+        if kept is None:
+            continue
+        taken = int((~kept).sum())
         if taken < fewest:
             best, fewest = (kept, np.asarray(uv[piece.faces])), taken
         if not fewest:

@@ -31,9 +31,9 @@ Task = Callable[[Table, Table], tuple[Table, Table]]
 
 
 def _simplify(arrays: Table, params: Table) -> tuple[Table, Table]:
-    from scanrender.scan.simplify import quadric_simplify
+    from scanrender.scan.collapse import collapse_task
 
-    return quadric_simplify(arrays, params)
+    return collapse_task(arrays, params)
 
 
 def _charts(arrays: Table, params: Table) -> tuple[Table, Table]:

@@ -21,6 +21,14 @@ class CleanSettings(Section):
         ge=0,
         le=1,
     )
+    floater_distance_mm: float = setting(
+        10.0,
+        "A loose piece nearer than this to the subject is kept down to a tenth of that share; one "
+        "ten times as far must have three times that share.",
+        unit="mm",
+        ge=0,
+        le=1000,
+    )
     hole_mm: float = setting(
         12.0,
         "Holes whose boundary fits in a circle of this diameter are filled; larger ones stay.",
@@ -35,17 +43,25 @@ class CleanSettings(Section):
         ge=2,
         le=100,
     )
+    close_neck: bool = setting(
+        False, "Close the opening at which a bust is cut off with a flat cap.", unit=""
+    )
 
 
 class SimplifySettings(Section):
     """Fewer triangles, within a budget and an error bound: whichever stops first."""
 
     triangles: int = setting(
-        50_000, "Budget: at most this many triangles.", unit="triangles", ge=100, le=20_000_000
+        50_000,
+        "Budget: at most this many triangles; fewer where those keep the error bound already.",
+        unit="triangles",
+        ge=100,
+        le=20_000_000,
     )
     error_mm: float = setting(
-        0.2,
-        "Warn when the 99 % distance to the raw surface is larger than this.",
+        0.02,
+        "Error bound: as few triangles as keep 99 % of the raw and of the prepared surface within "
+        "this distance from each other, but never more than the budget.",
         unit="mm",
         ge=0.001,
         le=100,

@@ -16,11 +16,8 @@ from scanrender.scan.gutters import Gutters
 from scanrender.scan.meshlab import count_self_intersections
 from scanrender.scan.project import make_projector
 from scanrender.scan.rasterize import overlap_share, rasterize
-from scanrender.scan.raw import RawMesh
 from scanrender.scan.rays import Target
-from scanrender.scan.simplify import simplify
 from scanrender.scan.skinmap import skin_probability
-from scanrender.scan.surface import surface_from_raw
 from scanrender.scan.tangents import (
     corner_tangents,
     from_tangent_space,
@@ -204,18 +201,6 @@ def test_unwrap_falls_back_and_says_so(monkeypatch):
     report = unwrap(positions, faces, UnwrapSettings(), 256).report
     assert report["rung"] == "box"
     assert [text.split(":")[0] for text in report["failed_rungs"]] == ["charts", "xatlas"]
-
-
-def test_simplify_keeps_to_the_budget_and_is_a_no_op_below_it():
-    positions, faces, _ = sphere(100.0, 48, 96)
-    surface = surface_from_raw(RawMesh(positions, faces))
-    simple, simple_faces, report = simplify(surface, 2000, 60.0)
-    assert len(simple_faces) <= 2040
-    assert "collapse" in report["method"]
-    assert np.abs(np.linalg.norm(simple, axis=1) - 100.0).max() < 1.0
-    same, same_faces, _ = simplify(surface, 10**6, 60.0)
-    assert same is surface.positions
-    assert same_faces is surface.faces
 
 
 def test_occlusion_and_thickness_against_closed_forms():
