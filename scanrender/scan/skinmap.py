@@ -56,6 +56,8 @@ HAIR_RATIOS = (0.05, 0.35)
 DARK = -0.6  # what certainly is darker than skin, to measure hair by
 HAIR_MM2 = 20.0
 REDDER_FREE, REDDER_GAIN, REDDER_MOST = 0.05, 1.5, 0.5  # lips hold so much blood that red falls too
+# Few lamps stand below a person: what looks down is darker than occlusion alone makes it.
+UNDER, UNDER_SHARE = 0.3, 0.3
 SHADE_MOST = 0.7  # a cavity of visibility 1/2 and less may be this much darker
 SPREAD_FREE, SPREAD_GAIN, SPREAD_MOST = 0.05, 1.5, 0.25  # uneven light: darkness says less
 # Eyes and cloth.
@@ -81,7 +83,6 @@ def skin_probability(
     ln R after the light is gone); only `no_skin_colour` where nothing has skin's colour, as on a
     statue: all of it counts as skin then.
     """
-    corners = low.faces[texels.face]
     positions = texels.interpolate(low.positions[low.faces])
     normals = unit(texels.interpolate(low.normals[low.faces]), fallback=(0.0, 0.0, 1.0))
     graph = TexelGraph(texels, positions, normals, low.texel_mm(texels.size))
@@ -94,12 +95,15 @@ def skin_probability(
     if skin.sum() < 16:
         return np.ones(len(albedo), np.float32), {"no_skin_colour": True}
     signs[:, 0] -= light
+    under = UNDER * np.maximum(-normals[:, 1], 0.0)
     shade = np.zeros(len(albedo))
     if ao is not None:
-        visible = np.einsum("kc,kc->k", texels.bary, ao[corners])
-        shade = np.minimum(-np.log(np.maximum(visible, 0.1)), SHADE_MOST)
-    hair, away, redness, notes = _compared(low, texels, signs, skin, shade)
-    other = _other(graph, hair, away, redness)
+        visible = np.einsum("kc,kc->k", texels.bary, ao[low.faces[texels.face]])
+        shade = np.minimum(-np.log(np.clip(visible, 0.1, 1.0)), SHADE_MOST)
+    darkness, away, redness, notes = _compared(low, texels, signs, skin, shade)
+    least = np.log(1.0 - 0.5 * (1.0 - notes["hair_ratio"]))  # half covered by hair
+    dark = graph.keep(darkness < least, darkness + under < least, UNDER_SHARE)
+    other = _other(graph, dark, away, redness)
     soft = graph.smooth(~other, SOFT_MM)
     lab = lab_from_linear_rec709(np.median(smooth[skin], axis=0))
     notes.update(skin_lab=[float(x) for x in lab], share_of_front=share)
@@ -164,7 +168,8 @@ def _under_one_light(signs: Array, normals: Array, colour: Array) -> tuple[Mask,
 def _compared(
     low: Low, texels: Texels, signs: Array, skin: Mask, shade: Array
 ) -> tuple[Array, Array, Array, dict[str, Any]]:
-    """Coverage by hair (k,), signs (k, 3) minus those of the skin around, redness (k,) around."""
+    """Darkness (k,) that only hair explains, as ln R over that of the skin around; all signs (k, 3)
+    less those around; redness (k,) around."""
     around = _Around(low, texels)
     whole = np.median(signs[skin], axis=0)
     ratio, extra = HAIR_RATIO, 0.0
@@ -182,17 +187,16 @@ def _compared(
         skin &= away[:, 1] > -0.5 * local[:, 1]
         spread = _spread(away[skin, 0])
         extra = SPREAD_GAIN * max(0.0, min(spread, SPREAD_MOST) - SPREAD_FREE)
-    return hair, away, local[:, 1], {"hair_ratio": ratio, "spread": spread}
+    return darkness, away, local[:, 1], {"hair_ratio": ratio, "spread": spread}
 
 
-def _other(graph: TexelGraph, hair: Array, away: Array, redness: Array) -> Mask:
-    """(k,) what is no skin: hair, eyes, cloth, without speckles."""
-    dark = hair > 0.5
+def _other(graph: TexelGraph, dark: Mask, away: Array, redness: Array) -> Mask:
+    """(k,) what is no skin: the dark (hair, lashes, irises), eyes, cloth, without speckles."""
     pale = (away[:, 1] + redness < PALE * np.maximum(redness, LEAST_REDNESS)) & ~dark
     area = graph.areas_mm2(pale)
     core = graph.areas_mm2(dark) >= EYE_DARK_MM2
     nodes, piece, count = graph.islands(pale)
-    beside = _grown(graph, core, EYE_NEAR_MM)[nodes]
+    beside = graph.grown(core, EYE_NEAR_MM)[nodes]
     touching = np.bincount(piece, beside, minlength=count)[piece] * graph.texel_mm**2
     eye = np.zeros(graph.count, bool)
     eye[nodes] = touching > np.maximum(EYE_TOUCH * area[nodes], EYE_TOUCH_MM2)
@@ -204,13 +208,8 @@ def _other(graph: TexelGraph, hair: Array, away: Array, redness: Array) -> Mask:
     other = graph.smooth(dark | pale | cloth, 0.5) > 0.5
     other = graph.keep(other, graph.smooth(other, THICK_MM) > THICK)
     skin = ~other
-    return np.asarray(~(skin & (graph.areas_mm2(skin) >= SKIN_ISLAND_MM2)))
-
-
-def _grown(graph: TexelGraph, chosen: Mask, reach_mm: float) -> Mask:
-    for _ in range(max(1, round(reach_mm / graph.texel_mm))):
-        chosen = chosen | (graph.adjacency @ chosen.astype(np.float32) > 0.0)
-    return chosen
+    enclosed = graph.keep(skin, skin & graph.grown(other, 0.0))  # not what is joined to nothing
+    return np.asarray(other | (enclosed & (graph.areas_mm2(skin) < SKIN_ISLAND_MM2)))
 
 
 def _spread(values: Array) -> float:

@@ -57,7 +57,8 @@ def read_skin_mask(path: Path, raw: RawMesh, names: str | tuple[str, ...]) -> Sk
         )
     if len(wanted) != max(1, len(raw.pages)):
         pages = ", ".join(page.name for page in raw.pages)[:300]
-        held = f"{len(raw.pages)} texture pages ({pages})" if raw.pages else "no texture page"
+        count = len(raw.pages)
+        held = f"{count} texture page{'s' * (count > 1)} ({pages})" if count else "no texture page"
         raise ConfigError(
             f"{path.name} has {held}, and the skin mask {_images(len(wanted))}",
             KEY,

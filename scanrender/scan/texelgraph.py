@@ -37,11 +37,12 @@ class TexelGraph:
         apart = lengths(positions[pairs[:, 0]] - positions[pairs[:, 1]])
         pairs = pairs[apart < TORN * texel_mm]
         seams = _seam_pairs(texels, pairs, positions, normals, texel_mm)
-        both = np.concatenate([pairs, seams])
-        ones = np.ones(len(both), np.float32)
-        half = sparse.coo_matrix((ones, (both[:, 0], both[:, 1])), (self.count, self.count)).tocsr()
-        self.adjacency = half + half.T
-        self.adjacency.data[:] = 1.0
+        grid, across = _symmetric(pairs, self.count), _symmetric(seams, self.count)
+        # What flows through a seam is what the missing neighbours of both sides would let through.
+        missing = np.clip(4.0 - _sums(grid), 0.0, 2.0) / np.maximum(_sums(across), 1.0)
+        row = np.repeat(np.arange(self.count), np.diff(across.indptr))
+        across.data = (0.5 * (missing[row] + missing[across.indices])).astype(np.float32)
+        self.adjacency = grid + across
         self._degree = np.asarray(self.adjacency.sum(axis=1), np.float32)
 
     def smooth(self, values: Array, sigma_mm: float) -> npt.NDArray[np.float32]:
@@ -61,13 +62,20 @@ class TexelGraph:
         count, piece = csgraph.connected_components(inner, directed=False)
         return nodes, piece, int(count)
 
-    def keep(self, chosen: Mask, wanted: Mask) -> Mask:
-        """Only those islands of `chosen` (k,) that hold a texel of `wanted` (k,)."""
+    def keep(self, chosen: Mask, wanted: Mask, share: float = 0.0) -> Mask:
+        """Only those islands of `chosen` (k,) of which more than `share` is `wanted` (k,) too."""
         nodes, piece, count = self.islands(chosen)
-        holds = np.bincount(piece, wanted[nodes], minlength=count) > 0.0
+        size = np.bincount(piece, minlength=count)
+        holds = np.bincount(piece, wanted[nodes], minlength=count) > share * size
         out = np.zeros(self.count, bool)
         out[nodes] = holds[piece]
         return out
+
+    def grown(self, chosen: Mask, reach_mm: float) -> Mask:
+        """The mask (k,) with its neighbours up to reach_mm away, and one texel at least."""
+        for _ in range(max(1, round(reach_mm / self.texel_mm))):
+            chosen = chosen | (self.adjacency @ chosen.astype(np.float32) > 0.0)
+        return chosen
 
     def areas_mm2(self, chosen: Mask) -> npt.NDArray[np.float64]:
         """(k,) area of the island of `chosen` that each of its texels belongs to, 0 elsewhere."""
@@ -75,6 +83,19 @@ class TexelGraph:
         out = np.zeros(self.count)
         out[nodes] = np.bincount(piece, minlength=count)[piece] * self.texel_mm**2
         return out
+
+
+def _symmetric(pairs: Array, count: int) -> Any:
+    """(count, count) matrix with 1 for each pair, both ways round."""
+    ones = np.ones(len(pairs), np.float32)
+    half = sparse.coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), (count, count)).tocsr()
+    matrix = half + half.T
+    matrix.data[:] = 1.0
+    return matrix
+
+
+def _sums(matrix: Any) -> Array:
+    return np.asarray(matrix.sum(axis=1), np.float64).ravel()
 
 
 def _grid_pairs(texels: Texels) -> npt.NDArray[np.int64]:
