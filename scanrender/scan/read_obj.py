@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scanrender.errors import ScanError
 from scanrender.scan.raw import RawMesh
 from scanrender.scan.read_mtl import decoded, read_materials
-from scanrender.scan.triangulate import fan_corners
+from scanrender.scan.triangulate import polygon_corners
 from scanrender.scan.udim import unfold_tiles
 from scanrender.scan.vertex_colors import colors_from_stored
 from scanrender.scan.words import floats, integers
@@ -82,7 +82,7 @@ def read_obj(path: Path) -> RawMesh:
     table = _floats(vertices, path, "v", 3)
     running = lines.counts if relative else None
     corners, sizes = _corners(polygons, running, len(table), len(texture), path)
-    triangles = fan_corners(sizes)
+    triangles = polygon_corners(sizes, corners[:, 0], table[:, :3])
     polygon_of = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
     notes: list[str] = []
     paged = read_materials(path, lines.libraries, lines.switches, len(polygons), notes)

@@ -26,7 +26,7 @@ from scanrender.scan.ply_rows import (
 from scanrender.scan.raw import NO_PAGE, RawMesh
 from scanrender.scan.read_mtl import lone_image
 from scanrender.scan.safe_path import inside
-from scanrender.scan.triangulate import fan_corners, onto_vertices, strip_faces
+from scanrender.scan.triangulate import onto_vertices, polygon_corners, strip_faces
 from scanrender.scan.vertex_colors import colors_from_stored
 
 _TYPES = {
@@ -65,7 +65,7 @@ def read_ply(path: Path) -> RawMesh:
         raise ScanError(f"{path.name} has no vertex positions", str(path), "export it again")
     positions = np.stack([vertex[axis] for axis in "xyz"], axis=1).astype(np.float64)
     notes: list[str] = []
-    faces, corner_uv, polygon_of = _faces(tables, vertex)
+    faces, corner_uv, polygon_of = _faces(tables, vertex, positions)
     face_table = tables.get("face", {})
     if face_table and _index_list(face_table) is None and not len(faces):
         raise ScanError(
@@ -126,7 +126,9 @@ def _property(words: list[str], path: Path) -> Property:
     return Property(words[2].lower(), _TYPES[types[0]])
 
 
-def _faces(tables: dict[str, Any], vertex: dict[str, Any]) -> tuple[Array, Array | None, Array]:
+def _faces(
+    tables: dict[str, Any], vertex: dict[str, Any], positions: Array
+) -> tuple[Array, Array | None, Array]:
     """Triangles, corner UV or None, and the row of `face` that each triangle came from."""
     vertex_uv = _vertex_uv(vertex)
     face = tables.get("face", {})
@@ -134,7 +136,7 @@ def _faces(tables: dict[str, Any], vertex: dict[str, Any]) -> tuple[Array, Array
     if indices is not None and len(indices[0]):
         sizes = np.asarray(indices[0], np.int64)
         corners = np.asarray(indices[1], np.int64)
-        triangles = fan_corners(sizes)
+        triangles = polygon_corners(sizes, corners, positions)
         polygon_of = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
         faces = corners[triangles]
         uv = _corner_uv(face.get("texcoord"), sizes)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scanrender.errors import ScanError
 from scanrender.images import linear_from_srgb
 from scanrender.scan.raw import RawMesh
-from scanrender.scan.triangulate import fan_corners, onto_vertices
+from scanrender.scan.triangulate import onto_vertices, polygon_corners
 from scanrender.scan.vertex_colors import colors_from_stored
 from scanrender.scan.words import floats, integers
 
@@ -114,7 +114,8 @@ def read_off(path: Path) -> RawMesh:
     if any(n < 0 or n >= len(row) for n, row in zip(sizes, face_rows, strict=True)):
         raise ScanError(f"{path.name}: a face line is cut short", str(path), "export it again")
     flat = [index for row, n in zip(face_rows, sizes, strict=True) for index in row[1 : n + 1]]
-    faces = integers(flat)[fan_corners(sizes)]
+    corners = integers(flat)
+    faces = corners[polygon_corners(sizes, corners, positions)]
     colors, notes = _vertex_colors(kind, rows), []
     if colors is None:
         per_face = _face_colors(face_rows, sizes)
