@@ -2,8 +2,8 @@
 
 xatlas alone makes thousands of charts on noisy skin (4143 on a 50 k head); few, compact charts keep
 seams rare and mip levels clean. A piece that is not a disk, flips, overlaps itself, or stretches
-too much is cut in two, and again, down to single triangles, which always work: hence no flips. Where
-only a corner of a piece lies over another, that corner alone becomes a piece.
+too much is cut in two, and again, down to single triangles, which always work: hence no flips.
+Where only a corner of a piece lies over another, that corner alone becomes a piece.
 Runs in a child process only.
 """
 
@@ -113,9 +113,8 @@ def _flat(positions: Array, faces: Array) -> tuple[npt.NDArray[np.bool_], Array]
         if _is_poor(piece, uv):
             continue
         kept = simple_part(uv, piece.faces)
-        taken = len(faces) if kept is None else int((~kept).sum())
-        if taken < fewest:
-            best, fewest = (kept, np.asarray(uv[piece.faces])), taken
+        if kept is not None and (~kept).sum() < fewest:
+            best, fewest = (kept, np.asarray(uv[piece.faces])), int((~kept).sum())
         if not fewest:
             break
     return best
