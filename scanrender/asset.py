@@ -16,7 +16,9 @@ UV origin is glTF's: (0, 0) is the top left corner of the first texel row.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Collection, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -109,8 +111,8 @@ def save_asset(asset: Asset, folder: Path | str) -> Path:
     folder = Path(folder)
     check_replaceable(folder)
     with atomic_folder(folder) as temporary:
-        for name, pixels in asset.maps.items():
-            _write_map(temporary, name, pixels)
+        with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:  # zlib takes most of the time
+            list(pool.map(lambda item: _write_map(temporary, *item), asset.maps.items()))
         _write_glb(temporary / "mesh.glb", asset)
         document = {"format": FORMAT_VERSION, "scanrender": __version__, **asset.info}
         document["maps"] = {name: MAPS[name].file for name in asset.maps}

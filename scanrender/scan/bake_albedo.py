@@ -14,7 +14,7 @@ from scanrender.scan.rasterize import rasterize
 from scanrender.scan.raw import NO_PAGE
 from scanrender.scan.rays import Hits
 from scanrender.scan.surface import Surface
-from scanrender.scan.topology import face_areas
+from scanrender.scan.topology import face_areas, face_centres
 
 Array = npt.NDArray[Any]
 
@@ -130,7 +130,7 @@ def _substitutes(surface: Surface, textured: npt.NDArray[np.bool_]) -> npt.NDArr
     if not textured.all():
         from scipy.spatial import cKDTree
 
-        centre = surface.positions[surface.faces].mean(axis=1)
+        centre = face_centres(surface.positions, surface.faces)
         candidates = np.flatnonzero(textured)
         _, nearest = cKDTree(centre[candidates]).query(centre[~textured])
         substitute[~textured] = candidates[nearest]

@@ -19,9 +19,11 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +34,10 @@ from scanrender.files import scratch_folder
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 Progress = Callable[[str, float], None]
+# glibc: temporary arrays up to 32 MiB come from memory that was used before, without a page fault
+# for each 4 KiB, a sixth of the time of cleaning; at most 256 MiB of it is kept.
+_KEEP_MEMORY = {"MALLOC_MMAP_THRESHOLD_": str(32 << 20), "MALLOC_TRIM_THRESHOLD_": str(256 << 20)}
+LATER, GO = "later", b"go\n"  # argument of a child started early; what it then waits for
 PARENT = "SCANRENDER_PARENT"  # environment variable: the process a worker must not outlive
 
 
@@ -40,16 +46,52 @@ def run_task(
 ) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
     """Run one native task (`worker.TASKS`) in a child. Returns its arrays and its report.
 
-    Raises StageError when the child crashes or takes longer than timeout_s.
+    A child that `started_early` holds for it is used. Raises StageError when the child crashes or
+    takes longer than timeout_s.
     """
-    with scratch_folder() as folder:
+    with ExitStack() as stack:
+        early = _early.pop(task, None)
+        folder = early.folder if early else stack.enter_context(scratch_folder())
         np.savez(folder / "in.npz", **arrays)  # type: ignore[arg-type]
         (folder / "params.json").write_text(json.dumps(dict(params)), encoding="utf-8")
-        run_worker([task, str(folder)], timeout_s)
+        if early:
+            _finish(early.process, early.stderr, task, timeout_s)
+        else:
+            run_worker([task, str(folder)], timeout_s)
         with np.load(folder / "out.npz", allow_pickle=False) as stored:
             result = {key: stored[key] for key in stored.files}
         report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     return result, report
+
+
+@dataclass(frozen=True)
+class _Early:
+    """A child that waits for its input."""
+
+    folder: Path
+    process: subprocess.Popen[bytes]
+    stderr: IO[bytes]
+
+
+_early: dict[str, _Early] = {}
+
+
+@contextlib.contextmanager
+def started_early(*tasks: str) -> Iterator[None]:
+    """Children for the first `run_task` of each of the tasks load their libraries while this
+    process still makes their input."""
+    with ExitStack() as stack:
+        for task in tasks:
+            folder = stack.enter_context(scratch_folder())
+            stderr = stack.enter_context(tempfile.TemporaryFile())
+            process = _start([task, str(folder), LATER], stderr, own_group=False)
+            stack.callback(_close, process, False)
+            _early[task] = _Early(folder, process, stderr)
+        try:
+            yield
+        finally:
+            for task in tasks:
+                _early.pop(task, None)
 
 
 def run_worker(
@@ -63,27 +105,49 @@ def run_worker(
     With `own_group` the child leads a process group, so that killing it also kills its children.
     Raises what the child raised, or StageError for a crash or a timeout.
     """
-    command = [sys.executable, "-m", "scanrender.scan.worker", *arguments]
     with tempfile.TemporaryFile() as stderr:
-        process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,  # never written: its end tells the child that we are gone
-            stdout=subprocess.PIPE,
-            stderr=stderr,
-            env=_environment(arguments[1]),
-            start_new_session=own_group,
-        )
-        stage = arguments[0]
-        try:
-            stage = _follow(process, stage, timeout_s, progress)
-        finally:
-            if process.poll() is None:
-                _kill(process, own_group)
-            for stream in (process.stdin, process.stdout):
-                if stream is not None:
-                    stream.close()
-        if process.returncode != 0:
-            raise _crash(process.returncode, stage, _tail(stderr))
+        process = _start(arguments, stderr, own_group)
+        _finish(process, stderr, arguments[0], timeout_s, progress, own_group)
+
+
+def _start(arguments: list[str], stderr: IO[bytes], own_group: bool) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "scanrender.scan.worker", *arguments],
+        stdin=subprocess.PIPE,  # its end tells the child that we are gone
+        stdout=subprocess.PIPE,
+        stderr=stderr,
+        env=_environment(arguments[1]),
+        start_new_session=own_group,
+    )
+
+
+def _finish(
+    process: subprocess.Popen[bytes],
+    stderr: IO[bytes],
+    stage: str,
+    timeout_s: float,
+    progress: Progress | None = None,
+    own_group: bool = False,
+) -> None:
+    assert process.stdin is not None
+    try:
+        with contextlib.suppress(OSError):  # it is dead already: its exit code will tell
+            process.stdin.write(GO)  # one that was not started early takes no notice
+            process.stdin.flush()
+        stage = _follow(process, stage, timeout_s, progress)
+    finally:
+        _close(process, own_group)
+    if process.returncode != 0:
+        raise _crash(process.returncode, stage, _tail(stderr))
+
+
+def _close(process: subprocess.Popen[bytes], own_group: bool) -> None:
+    if process.poll() is None:
+        _kill(process, own_group)
+    for stream in (process.stdin, process.stdout):
+        if stream is not None:
+            with contextlib.suppress(OSError):
+                stream.close()
 
 
 def _follow(
@@ -176,4 +240,4 @@ def _environment(folder: str) -> dict[str, str]:
     root = str(Path(errors.__file__).resolve().parents[1])
     paths = [root, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
     own = {"PYTHONPATH": os.pathsep.join(paths), "PYTHONHASHSEED": "0"}
-    return {**os.environ, **own, "TMPDIR": folder, PARENT: str(os.getpid())}
+    return {**_KEEP_MEMORY, **os.environ, **own, "TMPDIR": folder, PARENT: str(os.getpid())}

@@ -17,7 +17,7 @@ from scipy.sparse.linalg import spsolve
 from scanrender.scan.topology import area_normals, boundary_loops, edges_of
 
 Array = npt.NDArray[Any]
-ITERATIONS = (3, 2, 3, 4)  # between the states that are kept; 12 in all
+ITERATIONS = (3, 2, 3, 2, 2)  # between the states that are kept; 12 in all
 
 
 def is_flattenable(faces: Array) -> bool:

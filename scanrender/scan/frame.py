@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scanrender.errors import ConfigError
 from scanrender.scan.facing import find_facing, spread_samples
 from scanrender.scan.raw import RawMesh
-from scanrender.scan.topology import edges_of
+from scanrender.scan.topology import edges_of, used_vertices
 from scanrender.settings.scan import ScanSettings
 
 MM_PER = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
@@ -74,7 +74,7 @@ def find_frame(
         )
     forward = _turned(vertical, forward, past)
     rotation = np.stack([np.cross(vertical, forward), vertical, forward])
-    used = positions[np.unique(faces)]
+    used = positions[used_vertices(faces, len(positions))]
     low, high = used.min(axis=0), used.max(axis=0)
     extent = np.ptp(used @ rotation.T, axis=0)
     units = _units(raw, extent, head, settings)
@@ -166,7 +166,7 @@ def _up_axis(
         return settings.up, "scan.up states it", "stated"
     if raw.up_hint is not None:
         return raw.up_hint, "the file format fixes it", "high"
-    used = positions[np.unique(faces)]
+    used = positions[used_vertices(faces, len(positions))]
     cut = _cut_end(used, faces, positions)
     if cut is not None:
         return cut, "the surface is cut open at the opposite end, as a bust is", "high"

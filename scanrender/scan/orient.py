@@ -12,7 +12,14 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from scanrender.scan.surface import Surface
-from scanrender.scan.topology import area_normals, components, edges_of, face_pairs
+from scanrender.scan.topology import (
+    area_normals,
+    components,
+    edges_of,
+    face_centres,
+    face_pairs,
+    lengths,
+)
 
 
 def orient(surface: Surface) -> tuple[Surface, dict[str, int]]:
@@ -26,10 +33,12 @@ def _make_consistent(surface: Surface) -> tuple[Surface, int]:
     faces = surface.faces
     count = len(faces)
     edges = edges_of(faces)
-    first, second, edge = face_pairs(faces, edges)
     # The sum of directions over an edge's two half-edges is 0 or 2 where the faces disagree.
-    direction = np.bincount(edges.half, edges.forward, minlength=len(edges.count))[edge]
-    agree = direction == 1
+    direction = np.bincount(edges.half[edges.forward], minlength=len(edges.count))
+    if (direction[edges.count == 2] == 1).all():
+        return surface, 0
+    first, second, edge = face_pairs(faces, edges)
+    agree = direction[edge] == 1
     rows = np.concatenate([first, first + count])
     columns = np.concatenate(
         [np.where(agree, second, second + count), np.where(agree, second + count, second)]
@@ -52,15 +61,14 @@ def _turn_outward(surface: Surface) -> tuple[Surface, int]:
     """By the sign of the flux of (x - centre) through each piece, which is 3 volumes if closed."""
     count, piece = components(surface.faces, len(surface.positions))
     normal = area_normals(surface.positions, surface.faces)
-    centre = surface.positions[surface.faces].mean(axis=1)
-    area = np.linalg.norm(normal, axis=1)
+    offset = face_centres(surface.positions, surface.faces)
+    area = lengths(normal)
     total = np.maximum(np.bincount(piece, area, minlength=count), 1e-300)
-    middle = np.stack(
-        [np.bincount(piece, area * centre[:, k], minlength=count) / total for k in range(3)], axis=1
-    )
-    offset = centre - middle[piece]
+    for axis in range(3):
+        middle = np.bincount(piece, area * offset[:, axis], minlength=count) / total
+        offset[:, axis] -= middle[piece]
     flux = np.bincount(piece, np.einsum("ij,ij->i", offset, normal), minlength=count)
-    reach = np.bincount(piece, np.linalg.norm(offset, axis=1) * area, minlength=count)
+    reach = np.bincount(piece, lengths(offset) * area, minlength=count)
     # A nearly flat sheet has hardly any flux: its file's orientation is the better evidence.
     inside_out = flux < -0.05 * reach
     # A single triangle has none at all: what is left is rounding.

@@ -9,6 +9,7 @@ cannot fill the holes that it leaves.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,13 +17,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft, ndimage
 
+from scanrender.scan.parallel import run
 from scanrender.scan.rasterize import spans
 
 Array = npt.NDArray[Any]
 
 COARSE, FINE = 128, 320  # cells along the atlas: to search the scale, and for the result
 # A fine grid wastes less: it is tried at growing multiples of the scale found on the coarse one.
-FINE_FACTORS, SMALL_FACTOR = (1.02, 1.035), 1.008
+FINE_FACTORS = (1.01, 1.022, 1.035)  # all at once, in processes of their own
 SUBCELLS = 4  # charts are drawn this much finer than the grid, so that padding is not rounded up
 REACH = 1.0 / 60.0  # of the side; nearer than this is touching
 FIRST_USE, BISECTIONS = 0.66, 5
@@ -99,21 +101,14 @@ def _largest(chart: Array, upright: Array, padding: float) -> Placed:
         scale = 0.5 * (low + high) if low else 0.93 * scale
     if best is None:
         raise ValueError("the charts do not fit into the atlas")
-    start, fits = best.scale, None
-    for factor in FINE_FACTORS:
-        found = _place(chart, upright, start * factor, padding, FINE)
-        if found is None and fits is not None:
-            break
-        fits = found or fits
-        if found is None and factor == FINE_FACTORS[0]:
-            return _finer(chart, upright, best, padding)
-    return fits or best
+    finer = run([_finer(chart, upright, best.scale * factor, padding) for factor in FINE_FACTORS])
+    return max([best, *(placed for placed in finer if placed)], key=lambda placed: placed.scale)
 
 
-def _finer(chart: Array, upright: Array, best: Placed, padding: float) -> Placed:
-    """The fine grid packed no better at once: a little more than the coarse result, or that."""
-    found = _place(chart, upright, best.scale * SMALL_FACTOR, padding, FINE)
-    return found or best
+def _finer(
+    chart: Array, upright: Array, scale: float, padding: float
+) -> Callable[[], Placed | None]:
+    return lambda: _place(chart, upright, scale, padding, FINE)
 
 
 def _place(chart: Array, upright: Array, scale: float, padding: float, cells: int) -> Placed | None:

@@ -21,19 +21,23 @@ from scanrender.errors import ScanrenderError
 from scanrender.images import Image
 from scanrender.scan.bake_albedo import ColorSource
 from scanrender.scan.bake_normals import NormalSource
+from scanrender.scan.child import started_early
 from scanrender.scan.clean import Cleaned, clean
 from scanrender.scan.high import High, Low, make_high
 from scanrender.scan.ingest import read_scan
 from scanrender.scan.inspect import inspect_scan
 from scanrender.scan.journal import Journal, Progress
 from scanrender.scan.lost import surface_distance
+from scanrender.scan.mend import plain_surface
 from scanrender.scan.meshlab import count_self_intersections
+from scanrender.scan.neck import close_neck
 from scanrender.scan.oven import Oven, bake_maps, shape_values
 from scanrender.scan.parallel import Aside
 from scanrender.scan.project import make_projector
 from scanrender.scan.raw import RawMesh
 from scanrender.scan.report import atlas_report, color_error
 from scanrender.scan.simplify import simplify
+from scanrender.scan.skinmask import SkinMask, read_skin_mask
 from scanrender.scan.surface import Surface
 from scanrender.scan.tangents import vertex_tangents
 from scanrender.scan.topology import edges_of, vertex_normals
@@ -45,8 +49,10 @@ from scanrender.settings.scan import ScanSettings
 Array = npt.NDArray[Any]
 
 MESHLAB_TIMEOUT_S = 60.0  # it only counts: not worth waiting for
+NOTABLE_MM = 0.2  # a surface moved by more shows in a portrait's outline
 # Health is looked at beside the cleaning, with a mesh of its own: not where memory is short.
 HEALTH_MAX_BYTES = 250_000_000
+SIMPLIFIED_BYTES = 1_000_000  # a smaller file is hardly above any budget of triangles
 
 
 def prepare_here(
@@ -63,18 +69,31 @@ def prepare_here(
     With a full report, the arrays of `views.make_views` are written to `views` (.npz). Raises
     UsageError, ConfigError, ScanError, StageError.
     """
-    journal = Journal(progress)
+    early = () if as_is else ("charts", "simplify")
+    with started_early(*early[: 2 if path.stat().st_size > SIMPLIFIED_BYTES else 1]):
+        return _prepared(path, scan, prep, Journal(progress), as_is, views)
+
+
+def _prepared(
+    path: Path,
+    scan: ScanSettings,
+    prep: PrepSettings,
+    journal: Journal,
+    as_is: bool,
+    views: Path | None,
+) -> Asset:
     health = _health(path, scan, prep)
     with journal.stage("ingest") as notes:
         raw = read_scan(path, scan)
         notes.update(notes=list(raw.notes), color=raw.color_source)
+        mask = read_skin_mask(path, raw, prep.skin.mask) if prep.skin.mask is not None else None
         journal.warnings += raw.notes
     with journal.stage("clean") as notes:
         cleaned = clean(raw, scan, prep.clean)
         notes["steps"] = list(cleaned.steps)
         journal.warnings += cleaned.frame.warnings
     high, low, shape, lost = _shapes(cleaned, prep, journal, as_is)
-    maps, more = _baked(raw, high, low, shape, prep, journal, views)
+    maps, more = _baked(raw, high, low, shape, mask, prep, journal, views)
     lost.update(more)
     _warn_of_losses(lost, prep, low, journal)
     counts = _counts(raw, cleaned.surface, low)
@@ -120,7 +139,7 @@ def _shapes(
     """
     surface = cleaned.surface
     with ThreadPoolExecutor(1) as beside:
-        simple = beside.submit(_simplified, surface, prep, journal, as_is)
+        simple = beside.submit(_simplified, cleaned, prep, journal, as_is)
         unwrapped = beside.submit(
             lambda: _low_mesh(surface, *simple.result(), prep, journal, as_is)
         )
@@ -145,19 +164,24 @@ def _shapes(
 
 
 def _simplified(
-    surface: Surface, prep: PrepSettings, journal: Journal, as_is: bool
+    cleaned: Cleaned, prep: PrepSettings, journal: Journal, as_is: bool
 ) -> tuple[Array, Array]:
     with journal.stage("simplify") as notes:
         if as_is:
             notes["method"] = "none: as is"
-            return surface.positions, surface.faces
-        positions, faces, report = simplify(surface, prep.simplify.triangles, prep.timeout_s)
+            return cleaned.surface.positions, cleaned.surface.faces
+        positions, faces, report = simplify(cleaned.skin, prep.simplify, prep.timeout_s)
         notes.update(report)
-        if report.get("over_budget"):
+        if report["over_budget"]:
             journal.warnings.append(
                 f"{len(faces)} triangles remain, more than prep.simplify.triangles: "
                 "fewer would damage the surface"
             )
+        journal.warnings += [f"after simplification {damage}" for damage in report["damage"]]
+        if cleaned.cap:
+            # Not simplified with it: the cap's edge has vertices of its own, and would come apart.
+            capped, notes["cap_faces"] = close_neck(plain_surface(positions, faces))
+            return capped.positions, capped.faces
         return positions, faces
 
 
@@ -189,6 +213,7 @@ def _baked(
     high: High,
     low: Low,
     shape: dict[str, Array],
+    mask: SkinMask | None,
     prep: PrepSettings,
     journal: Journal,
     views: Path | None,
@@ -199,7 +224,7 @@ def _baked(
         oven.samples(bake.albedo_px)
     color = ColorSource(high.surface, raw.pages, bake.default_albedo)
     normals = NormalSource(high.surface, high.normals, raw.normal_pages)
-    lost = bake_maps(oven, high, shape, color, normals, bake, journal)
+    lost = bake_maps(oven, high, shape, color, normals, mask, bake, journal)
     with journal.stage("report") as notes:
         lost.update(atlas_report(low, bake.albedo_px))
         if prep.report == "full" and "albedo" in oven.maps:
@@ -228,10 +253,10 @@ def _counts(raw: RawMesh, surface: Surface, low: Low) -> dict[str, Any]:
 
 def _warn_of_losses(lost: dict[str, Any], prep: PrepSettings, low: Low, journal: Journal) -> None:
     error = lost["raw_to_prepared_mm"]["p99"]
-    if error > prep.simplify.error_mm:
+    if error > max(prep.simplify.error_mm, NOTABLE_MM):
         journal.warnings.append(
-            f"1 % of the raw surface is further than {error:.2f} mm from the prepared one "
-            f"(prep.simplify.error_mm {prep.simplify.error_mm:g}): raise prep.simplify.triangles"
+            f"1 % of the raw surface is further than {error:.2f} mm from the prepared one: "
+            "raise prep.simplify.triangles"
         )
     for failure in low.unwrapped.report.get("failed_rungs", []):
         journal.warnings.append(f"unwrapping fell back: {failure}")

@@ -18,7 +18,7 @@ from scanrender.asset import Mesh
 from scanrender.scan.parallel import Shape, fill_rows
 from scanrender.scan.rasterize import Texels, rasterize
 from scanrender.scan.rays import Hits, Target
-from scanrender.scan.topology import area_normals, unit
+from scanrender.scan.topology import area_normals, face_centres, unit
 
 Array = npt.NDArray[Any]
 
@@ -98,7 +98,7 @@ def make_projector(mesh: Mesh, target: Target) -> Projector:
     """Measure the local error at vertices and face centres, and set the cage from it."""
     positions = mesh.positions_mm.astype(np.float64)
     at_vertex = target.nearest(positions).distance
-    at_face = target.nearest(positions[mesh.faces].mean(axis=1)).distance
+    at_face = target.nearest(face_centres(positions, mesh.faces)).distance
     cage = at_vertex.copy()
     np.maximum.at(cage, mesh.faces.reshape(-1), np.repeat(at_face, 3))
     cage = np.clip(2.0 * cage + CAGE_MM[0], *CAGE_MM)

@@ -6,12 +6,17 @@ Surfaces, IEEE TVCG 7(2), 2001 (the cutting half: vertices are split where fans 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse import csgraph
 
 from scanrender.scan.surface import Surface
 from scanrender.scan.topology import edges_of, face_areas, sorted_order
+
+Array = npt.NDArray[Any]
 
 
 def drop_extra_faces(surface: Surface) -> Surface:
@@ -44,6 +49,8 @@ def split_vertices(surface: Surface) -> Surface:
     first_of_edge = np.cumsum(edges.count) - edges.count
     two = np.flatnonzero(edges.count == 2)
     one, other = order[first_of_edge[two]], order[first_of_edge[two] + 1]
+    if _has_single_fans(faces, one, other, len(surface.positions)):
+        return surface
     rows, columns = [], []
     # Half-edge h = corner * m + face runs from that corner to the next; both its ends are shared
     # with the other face, at the corner of that face which has the same vertex.
@@ -62,3 +69,35 @@ def split_vertices(surface: Surface) -> Surface:
     position = np.empty(fans, np.int64)
     position[order] = np.arange(fans)
     return surface.renumber(position[label].reshape(3, count).T.copy(), source[order])
+
+
+def _has_single_fans(faces: Array, one: Array, other: Array, vertices: int) -> bool:
+    """Whether a walk around each vertex, from face to face, meets all of its faces. `one` and
+    `other` are the two half-edges of each inner edge. Only for consistently wound faces, where each
+    runs against the other; false where they are not.
+    """
+    count = len(faces)
+    start = faces.T.reshape(-1)
+    half = np.arange(3 * count)
+    if (start[one] == start[other]).any():
+        return False
+    twin = np.full(3 * count, -1)
+    twin[one], twin[other] = other, one
+    # Leaving a vertex along `half`, the next half-edge that leaves it: across the one before.
+    around = twin[(half + 2 * count) % (3 * count)]
+    # A walk begins at a boundary where there is one, so that it goes through the whole fan.
+    begin = np.full(vertices, -1)
+    begin[start] = half
+    open_half = twin < 0
+    begin[start[open_half]] = half[open_half]
+    valence = np.bincount(start, minlength=vertices)
+    walker = np.flatnonzero(begin >= 0)
+    at, met = begin[walker], np.ones(len(walker), np.int64)
+    while len(walker):
+        at = around[at]
+        done = (at < 0) | (at == begin[walker])
+        if (met[done] != valence[walker[done]]).any():
+            return False
+        met = met[~done] + 1
+        walker, at = walker[~done], at[~done]
+    return True

@@ -15,7 +15,14 @@ from scipy import sparse
 from scipy.cluster.vq import kmeans2
 from scipy.sparse import csgraph
 
-from scanrender.scan.topology import area_normals, face_pairs, unit
+from scanrender.scan.topology import (
+    area_normals,
+    face_areas,
+    face_centres,
+    face_pairs,
+    lengths,
+    unit,
+)
 
 Array = npt.NDArray[Any]
 
@@ -26,34 +33,38 @@ SMALLEST_SHARE = 0.004
 STRAIGHTENING_SWEEPS = 4
 
 
-def segment(positions: Array, faces: Array, pieces: int, seed: int = 0) -> Array:
-    """A piece number (m,) for each face; every piece is connected through edges."""
+def segment(
+    positions: Array, faces: Array, pieces: int, whole: Array | None = None, seed: int = 0
+) -> Array:
+    """A piece number (m,) for each face; every piece is connected through edges.
+
+    `whole` (m,) marks faces that shall be one piece, without a cut through them.
+    """
     first, second, _ = face_pairs(faces)
     count = len(faces)
-    normal = area_normals(positions, faces)
-    area = 0.5 * np.linalg.norm(normal, axis=1)
-    adjacency = _symmetric(first, second, count)
-    weight = sparse.diags(area + 1e-12) @ adjacency
-    blend = sparse.diags(1.0 / np.maximum(np.asarray(adjacency.sum(axis=1)).ravel(), 1.0))
-    smooth = unit(normal)
-    for _ in range(SMOOTHING_SWEEPS):
-        smooth = unit(smooth * area[:, None] + blend @ (weight.T @ smooth))
+    area = face_areas(positions, faces)
+    whole = np.zeros(count, bool) if whole is None else whole
+    smooth = smoothed_face_normals(positions, faces, SMOOTHING_SWEEPS)
     scale = NORMAL_SCALE * float(np.sqrt(area.sum()))
-    centroid = positions[faces].mean(axis=1)
+    centroid = face_centres(positions, faces)
     features = np.concatenate([centroid, smooth * scale], axis=1)
     # Faces of uneven size are weighted by area through resampling; labels follow the centres.
     rng = np.random.default_rng(seed)
-    drawn = rng.choice(count, min(20_000, 4 * count), p=area / area.sum())
+    share = np.where(whole, 0.0, area)
+    if share.sum() <= 0.0:
+        return pieces_of(whole, first, second)
+    drawn = rng.choice(count, min(20_000, 4 * count), p=share / share.sum())
     centers, _ = kmeans2(features[drawn], min(pieces, count), minit="++", iter=20, rng=rng)
     label = _nearest(features, centers)
+    label[whole] = len(centers)
     for _ in range(STRAIGHTENING_SWEEPS):
-        label = _majority(label, first, second, count)
-    return merge_small(_connected(label, first, second, count), first, second, positions, faces)
+        label = np.where(whole, label, _majority(label, first, second, count))
+    return merge_small(pieces_of(label, first, second), first, second, positions, faces)
 
 
 def split_in_two(positions: Array, faces: Array) -> Array:
     """Halves (m,) 0 or 1 of one piece, across its longest direction; both are non-empty."""
-    centroid = positions[faces].mean(axis=1)
+    centroid = face_centres(positions, faces)
     offset = centroid - centroid.mean(axis=0)
     _, _, axes = np.linalg.svd(offset, full_matrices=False)
     along = offset @ axes[0]
@@ -72,13 +83,13 @@ def split_in_two(positions: Array, faces: Array) -> Array:
 def edge_components(faces: Array) -> Array:
     """The edge-connected component (m,) of each face."""
     first, second, _ = face_pairs(faces)
-    _, label = csgraph.connected_components(_symmetric(first, second, len(faces)), directed=False)
+    _, label = csgraph.connected_components(symmetric(first, second, len(faces)), directed=False)
     return np.asarray(label)
 
 
 def merge_small(label: Array, first: Array, second: Array, positions: Array, faces: Array) -> Array:
     """Give pieces below a share of the area to the neighbour with the longest common border."""
-    area = 0.5 * np.linalg.norm(area_normals(positions, faces), axis=1)
+    area = face_areas(positions, faces)
     for _ in range(6):
         count = int(label.max()) + 1
         size = np.bincount(label, area, minlength=count)
@@ -103,7 +114,28 @@ def merge_small(label: Array, first: Array, second: Array, positions: Array, fac
     return np.asarray(label)
 
 
-def _symmetric(first: Array, second: Array, count: int) -> Any:
+def smoothed_face_normals(positions: Array, faces: Array, sweeps: int) -> Array:
+    """(m, 3) unit normals averaged with the neighbours', by area, `sweeps` times over."""
+    first, second, _ = face_pairs(faces)
+    normal = area_normals(positions, faces)
+    area = 0.5 * lengths(normal)
+    adjacency = symmetric(first, second, len(faces))
+    weight = sparse.diags(area + 1e-12) @ adjacency
+    blend = sparse.diags(1.0 / np.maximum(np.asarray(adjacency.sum(axis=1)).ravel(), 1.0))
+    smooth = unit(normal)
+    for _ in range(sweeps):
+        smooth = unit(smooth * area[:, None] + blend @ (weight.T @ smooth))
+    return smooth
+
+
+def pieces_of(label: Array, first: Array, second: Array) -> Array:
+    """(m,) piece numbers of the faces, where only neighbours with the same label are connected."""
+    same = label[first] == label[second]
+    graph = symmetric(first[same], second[same], len(label))
+    return np.asarray(csgraph.connected_components(graph, directed=False)[1], np.int64)
+
+
+def symmetric(first: Array, second: Array, count: int) -> Any:
     half = sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=(count, count))
     return (half + half.T).tocsr()
 
@@ -124,10 +156,3 @@ def _majority(label: Array, first: Array, second: Array, count: int) -> Array:
     a, b, c = around.T
     agreed = np.where((a == b) | (a == c), a, np.where(b == c, b, -1))
     return np.asarray(np.where(agreed >= 0, agreed, label))
-
-
-def _connected(label: Array, first: Array, second: Array, count: int) -> Array:
-    same = label[first] == label[second]
-    graph = _symmetric(first[same], second[same], count)
-    _, pieces = csgraph.connected_components(graph, directed=False)
-    return np.asarray(pieces, np.int64)

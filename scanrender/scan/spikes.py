@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from scanrender.scan.surface import Surface
-from scanrender.scan.topology import edges_of
+from scanrender.scan.topology import edges_of, lengths
 
 # A clean, evenly bent surface deviates by next to nothing: this share of the edge length keeps
 # rounding and curvature there from counting as spikes.
@@ -28,13 +28,12 @@ def flatten_spikes(surface: Surface, sigma: float) -> tuple[Surface, int]:
     adjacency = (half + half.T).tocsr()
     degree = np.maximum(np.asarray(adjacency.sum(axis=1)).reshape(-1), 1.0)
     mean = (adjacency @ surface.positions) / degree[:, None]
-    deviation = np.linalg.norm(surface.positions - mean, axis=1)
+    deviation = lengths(surface.positions - mean)
     around = (adjacency @ deviation) / degree
     # A spike lifts its neighbours' deviation by 1/degree of its own: take that share away again.
     inherited = (adjacency @ (deviation / degree)) / degree
-    length = np.linalg.norm(
-        surface.positions[edges.pairs[:, 0]] - surface.positions[edges.pairs[:, 1]], axis=1
-    )
+    a, b = edges.pairs.T
+    length = lengths(surface.positions[a] - surface.positions[b])
     typical = float(np.median(length)) if len(length) else 0.0
     local = np.maximum(around - inherited, 0.0) + EDGE_SHARE * typical
     spike = (deviation > sigma * local) & (degree >= 3)

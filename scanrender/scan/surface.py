@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.scan.raw import NO_PAGE, RawMesh
+from scanrender.scan.topology import used_vertices
 
 Points = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
@@ -31,7 +32,10 @@ class Surface:
     colors: npt.NDArray[np.float32] | None
 
     def keep_faces(self, kept: npt.NDArray[Any]) -> Surface:
-        """Only the faces in `kept` (a mask or indices); vertices stay."""
+        """Only the faces in `kept` (a mask or indices); vertices stay. Where a mask keeps all, the
+        same surface: what is known of its faces stays known (`topology.edges_of`)."""
+        if kept.dtype == bool and kept.all():
+            return self
         return replace(
             self,
             faces=self.faces[kept],
@@ -59,8 +63,7 @@ class Surface:
 
     def compact(self) -> Surface:
         """Without unreferenced vertices."""
-        used = np.zeros(len(self.positions), bool)
-        used[self.faces.reshape(-1)] = True
+        used = used_vertices(self.faces, len(self.positions))
         if used.all():
             return self
         new_index = np.cumsum(used) - 1

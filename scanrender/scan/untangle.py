@@ -40,7 +40,7 @@ def simple_part(uv: Array, faces: Array) -> npt.NDArray[np.bool_] | None:
 
 
 def border_crossings(uv: Array, faces: Array) -> tuple[Array, Array]:
-    """Pairs of faces (k,), (k,): a border edge of one crosses a border edge of the other."""
+    """Pairs of faces (k,), (k,) where a border edge of one crosses a border edge of the other."""
     edges = edges_of(faces)
     half = np.flatnonzero(edges.count[edges.half] == 1)
     corner, face = np.divmod(half, len(faces))
@@ -65,7 +65,7 @@ def _sides(a: Array, b: Array, points: Array) -> Array:
 
 
 def _cover(first: Array, second: Array, count: int) -> Array:
-    """Few faces that touch every crossing: the one with most, then with most of the rest."""
+    """Few faces that touch every crossing: the one with most first, then of the rest."""
     open_ = np.ones(len(first), bool)
     taken = []
     while open_.any():

@@ -7,6 +7,7 @@ hang, hold the interpreter lock for minutes, or carry the GPL (pymeshlab). The p
 from __future__ import annotations
 
 import contextlib
+import importlib
 import json
 import os
 import signal
@@ -20,19 +21,19 @@ from typing import Any
 import numpy as np
 
 from scanrender.errors import ScanrenderError
-from scanrender.scan.child import PARENT
+from scanrender.scan.child import GO, LATER, PARENT
+from scanrender.scan.memory import OUT_OF_MEMORY, limit_memory
 
 Table = dict[str, Any]
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
-_CGROUP_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 # (arrays, parameters) -> (arrays, report)
 Task = Callable[[Table, Table], tuple[Table, Table]]
 
 
 def _simplify(arrays: Table, params: Table) -> tuple[Table, Table]:
-    from scanrender.scan.simplify import quadric_simplify
+    from scanrender.scan.collapse import collapse_task
 
-    return quadric_simplify(arrays, params)
+    return collapse_task(arrays, params)
 
 
 def _charts(arrays: Table, params: Table) -> tuple[Table, Table]:
@@ -89,10 +90,20 @@ TASKS: dict[str, Task] = {
 }
 
 
+# What a child that was started early loads while it waits.
+LIBRARIES = {
+    "simplify": ("scanrender.scan.simplify", "fast_simplification"),
+    "charts": ("scanrender.scan.unwrap_charts", "igl"),
+}
+
+
 def main(arguments: list[str]) -> int:
     task, folder = arguments[0], Path(arguments[1])
     tie_to_parent()
     limit_memory()
+    if LATER in arguments[2:] and not _told_to_go(task):
+        return 0
+    watch_parent()
     stage = [task]
     # The protocol keeps the real standard output; whatever libraries print joins standard error.
     protocol = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
@@ -108,7 +119,7 @@ def main(arguments: list[str]) -> int:
         protocol.write(json.dumps({"error": {"kind": type(error).__name__, **document}}) + "\n")
         return error.exit_code
     except MemoryError:
-        _write_error(protocol, f"the stage '{stage[0]}' ran out of memory")
+        _write_error(protocol, f"the stage '{stage[0]}' ran out of memory", OUT_OF_MEMORY)
         return 5
     except Exception as error:  # noqa: BLE001  the parent must get a sentence, whatever a library raised
         traceback.print_exc()
@@ -118,11 +129,18 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
+def _told_to_go(task: str) -> bool:
+    """Load what the task needs, and wait; false when the parent has no work after all."""
+    for module in LIBRARIES.get(task, ()):
+        importlib.import_module(module)
+    return os.read(0, len(GO)) == GO
+
+
 def tie_to_parent() -> None:
     """End this process when its parent ends, however that happens.
 
-    Linux does it at once, even inside a library that holds the interpreter lock. Elsewhere the
-    end of standard input tells a thread, which has to wait for that lock.
+    Linux does it at once, even inside a library that holds the interpreter lock. Elsewhere
+    `watch_parent` does, when it can.
     """
     parent = os.environ.get(PARENT)
     if parent is None:  # started by hand
@@ -134,6 +152,13 @@ def tie_to_parent() -> None:
         if os.getppid() != int(parent):  # it ended before we asked
             os._exit(1)
 
+
+def watch_parent() -> None:
+    """End this process with its standard input: a thread waits, and has to wait for the
+    interpreter's lock too."""
+    if PARENT not in os.environ:  # started by hand
+        return
+
     def wait() -> None:
         with contextlib.suppress(OSError):
             while os.read(0, 1):
@@ -143,28 +168,10 @@ def tie_to_parent() -> None:
     threading.Thread(target=wait, daemon=True).start()
 
 
-def limit_memory() -> None:
-    """No more data than the machine (or its container) has: a MemoryError beats the OOM killer."""
-    limits = []
-    with contextlib.suppress(OSError, ValueError, AttributeError):
-        limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    for file in _CGROUP_LIMITS:
-        with contextlib.suppress(OSError, ValueError):
-            limits.append(int(Path(file).read_text(encoding="ascii")))
-    try:
-        import resource
-    except ImportError:  # Windows
-        return
-    if limits:
-        _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-        limit = min(limits) if hard == resource.RLIM_INFINITY else min(*limits, hard)
-        with contextlib.suppress(OSError, ValueError):
-            resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
-
-
-def _write_error(protocol: Any, what: str) -> None:
+def _write_error(protocol: Any, what: str, fix: str | None = None) -> None:
+    error = {"kind": "StageError", "what": what, "fix": fix}
     with contextlib.suppress(OSError):
-        protocol.write(json.dumps({"error": {"kind": "StageError", "what": what}}) + "\n")
+        protocol.write(json.dumps({"error": error}) + "\n")
 
 
 def _run(task: str, folder: Path) -> None:
@@ -185,6 +192,8 @@ def _prepare(folder: Path, protocol: Any, current: list[str]) -> None:
     from scanrender.settings.scan import ScanSettings
 
     job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
+    prep = PrepSettings.model_validate(job["prep"])
+    limit_memory(prep.memory_mib)
 
     def progress(stage: str, fraction: float) -> None:
         current[0] = stage
@@ -193,7 +202,7 @@ def _prepare(folder: Path, protocol: Any, current: list[str]) -> None:
     asset = prepare_here(
         Path(job["scan_path"]),
         ScanSettings.model_validate(job["scan"]),
-        PrepSettings.model_validate(job["prep"]),
+        prep,
         progress=progress,
         as_is=job["as_is"],
         views=folder / "views.npz",

@@ -11,6 +11,7 @@ from scanrender.phantom.head import make_head
 from scanrender.scan.clean import clean
 from scanrender.scan.facing import find_facing, spread_samples
 from scanrender.scan.frame import find_frame
+from scanrender.scan.ingest import read_scan
 from scanrender.scan.inspect import inspect_scan
 from scanrender.scan.raw import RawMesh
 from scanrender.settings.prep import CleanSettings
@@ -103,3 +104,20 @@ def test_real_heads_face_forward(name, front, turn, mm_per_unit, tolerance):
     assert health["axes"]["front_confidence"] in ("medium", "high")
     scale_is_a_guess = any("the scale is a guess" in warning for warning in health["warnings"])
     assert scale_is_a_guess == (health["units"]["confidence"] == "low")
+
+
+@pytest.mark.skipif(not (SCANS / "igea").exists(), reason="needs ../shared/scans/igea")
+def test_a_bun_of_hair_is_not_taken_for_a_nose():
+    """It stands out further than the nose does, and its lower edge even more, in one slice."""
+    cleaned = clean(read_scan(SCANS / "igea" / "igea.ply"), ScanSettings(up="+y"), CleanSettings())
+    assert cleaned.frame.axes["front"] == "+z"
+    points, normals = spread_samples(cleaned.surface.positions, cleaned.surface.faces)
+    points, normals = points[:, [2, 0, 1]], normals[:, [2, 0, 1]]
+    for degrees in range(0, 360, 45):
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        found = find_facing(points @ turn, normals @ turn)
+        # It may not know. It must not be wrong.
+        if found is not None:
+            off = (np.degrees(found.yaw) - degrees + 180.0) % 360.0 - 180.0
+            assert abs(off) < 15.0

@@ -1,4 +1,4 @@
-"""A flattened border that crosses itself is seen exactly, and loses only the corner that overlaps."""
+"""A flattened border that crosses itself is seen, and loses only the corner that overlaps."""
 
 from __future__ import annotations
 

@@ -1,0 +1,241 @@
+"""What an edge collapse breaks: found, repaired where that is safe, reported where it is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from scanrender.scan.holes import least_area
+from scanrender.scan.orient import orient
+from scanrender.scan.raw import NO_PAGE
+from scanrender.scan.repair import drop_extra_faces, split_vertices
+from scanrender.scan.surface import Surface
+from scanrender.scan.topology import (
+    area_normals,
+    boundary_loops,
+    components,
+    edges_of,
+    face_areas,
+    face_pairs,
+    unit,
+)
+from scanrender.scan.weld import drop_degenerate, drop_duplicates
+
+Array = npt.NDArray[Any]
+
+AREA_CHANGE = 0.3
+FOLDED_SHARE = 0.01  # of the faces may have an edge folded over
+FLIPPED_SHARE = 2e-4  # of the faces may look the wrong way before a gentler attempt is made
+NORMALS_PER_FACE = 8  # raw normals kept for each face to compare with
+NEAREST = 8  # of them are asked: beside a crease the very nearest may lie on its other side
+NEW_HOLE_EDGES = 16  # a collapse opens holes of three or four edges
+UNFOLD_ROUNDS = 4
+# A piece that the collapse may not lose is larger than this share of the largest.
+PIECE_SHARE = 1e-3
+PIECE_SAMPLES = 16
+
+
+def plain_surface(positions: Array, faces: Array) -> Surface:
+    """Geometry alone."""
+    return Surface(positions, faces, None, np.full(len(faces), NO_PAGE, np.int16), None)
+
+
+def mended(positions: Array, faces: Array) -> Surface:
+    """The collapse's own damage undone: folds, doubled faces, non-manifold edges and vertices."""
+    kept = faces[np.isfinite(positions[faces]).all(axis=(1, 2))]
+    simple = plain_surface(np.nan_to_num(positions), kept)
+    simple = drop_extra_faces(drop_duplicates(drop_degenerate(simple)))
+    simple, _ = orient(split_vertices(simple).compact())
+    return simple
+
+
+def fold_count(positions: Array, faces: Array) -> int:
+    """Edges whose two faces look in opposite directions (more than 150 degrees apart)."""
+    first, second, _ = face_pairs(faces)
+    normal = unit(area_normals(positions, faces))
+    return int((np.einsum("ij,ij->i", normal[first], normal[second]) < -0.866).sum())
+
+
+class Reference:
+    """The surface before the collapse, to compare with."""
+
+    def __init__(self, raw: Surface) -> None:
+        self.raw = raw
+
+    @cached_property
+    def area(self) -> Array:
+        """(m,) mm^2"""
+        return np.asarray(face_areas(self.raw.positions, self.raw.faces))
+
+    @cached_property
+    def _border(self) -> Array:
+        """Positions of the boundary's vertices."""
+        edges = edges_of(self.raw.faces)
+        return np.asarray(self.raw.positions[np.unique(edges.pairs[edges.count == 1])])
+
+    def samples(self, count: int, seed: int) -> Array:
+        """Points (count, 3) spread evenly by area over the raw surface."""
+        rng = np.random.default_rng(seed)
+        passed = np.cumsum(self.area)
+        # Rounding may place a number at the very end.
+        face = np.minimum(np.searchsorted(passed, rng.random(count) * passed[-1]), len(passed) - 1)
+        r, s = np.sqrt(rng.random(count)), rng.random(count)
+        bary = np.stack([1.0 - r, r * (1.0 - s), r * s], axis=1)
+        return np.asarray(np.einsum("kc,kcd->kd", bary, self.raw.positions[self.raw.faces[face]]))
+
+    def validated(self, simple: Surface) -> tuple[Surface, dict[str, Any]]:
+        """Repaired where possible; `ruined` and `damage` are sentences, `repaired` counts, and
+        `flipped` the faces that look the wrong way at last."""
+        if simple is self.raw:
+            return simple, {"ruined": [], "damage": [], "repaired": {}, "flipped": 0}
+        simple, filled = self._without_new_holes(simple)
+        simple, before, flipped = self._turned_back(simple)
+        found = {
+            "ruined": self._ruined(simple),
+            "damage": self._damage(simple, flipped),
+            "repaired": {"holes": filled, "flipped_faces": before - flipped},
+            "flipped": flipped,
+        }
+        return simple, found
+
+    def _ruined(self, simple: Surface) -> list[str]:
+        raw, sentences = self.raw, []
+        if len(simple.faces) < min(4, len(raw.faces)):
+            return ["nothing is left"]
+        before = self.area.sum()
+        after = face_areas(simple.positions, simple.faces).sum()
+        change = after / max(float(before), 1e-300) - 1.0
+        if abs(change) > AREA_CHANGE:
+            sentences.append(f"the area changed by {100 * change:.0f} %")
+        folded = fold_count(simple.positions, simple.faces)
+        if folded > FOLDED_SHARE * len(simple.faces):
+            sentences.append(f"{folded} edges are folded over")
+        return sentences
+
+    def _damage(self, simple: Surface, flipped: int) -> list[str]:
+        sentences = []
+        crowded = int((edges_of(simple.faces).count > 2).sum())
+        if crowded:
+            sentences.append(f"{crowded} edges have more than two faces")
+        lost = self._lost_pieces(simple)
+        if lost:
+            sentences.append(f"{lost} pieces of the surface are gone")
+        holes = len(self._new_loops(simple))
+        if holes:
+            sentences.append(f"{holes} new holes")
+        if flipped > FLIPPED_SHARE * len(simple.faces):
+            sentences.append(f"{flipped} faces look the wrong way")
+        return sentences
+
+    def _new_loops(self, simple: Surface) -> list[Array]:
+        """Short boundary loops that lie apart from each boundary of the raw surface."""
+        loops = [loop for loop in boundary_loops(simple.faces) if len(loop) <= NEW_HOLE_EDGES]
+        if not loops:
+            return []
+        if not len(self._border):
+            return loops
+        tree = cKDTree(self._border)
+
+        def apart(loop: Array) -> bool:
+            ring = simple.positions[loop]
+            side = np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1).mean()
+            return bool(tree.query(ring)[0].min() > side)
+
+        return [loop for loop in loops if apart(loop)]
+
+    def _without_new_holes(self, simple: Surface) -> tuple[Surface, int]:
+        """Filled, or drawn together where a filling would run along an edge of two faces."""
+        loops = self._new_loops(simple)
+        before = len(loops)
+        for close in (_filled, _drawn_together):
+            if loops:
+                closed = close(simple, loops)
+                left = self._new_loops(closed)
+                if len(left) < len(loops):
+                    simple, loops = closed, left
+        return simple, before - len(loops)
+
+    def _lost_pieces(self, simple: Surface) -> int:
+        """Pieces of the raw surface, crumbs aside, near which nothing is left."""
+        raw = self.raw
+        count, piece = components(raw.faces, len(raw.positions))
+        if count == 1 or components(simple.faces, len(simple.positions))[0] >= count:
+            return 0
+        area = np.bincount(piece, self.area, minlength=count)
+        tree = cKDTree(simple.positions[np.unique(simple.faces)])
+        lost = 0
+        for number in np.flatnonzero(area >= PIECE_SHARE * area.max()):
+            points = raw.positions[np.unique(raw.faces[piece == number])]
+            some = points[:: max(1, len(points) // PIECE_SAMPLES)]
+            reach = 0.5 * float(np.linalg.norm(np.ptp(points, axis=0)))
+            lost += int(tree.query(some)[0].min() > reach)
+        return lost
+
+    def _turned_back(self, simple: Surface) -> tuple[Surface, int, int]:
+        """Vertices of faces that look the wrong way are drawn to their neighbours' mean, as long as
+        that helps. Returns the surface and the number of such faces before and after."""
+        normals = self._normals(len(simple.faces))
+        wrong = _wrong_way(simple, *normals)
+        before = len(wrong)
+        for _ in range(UNFOLD_ROUNDS):
+            if not len(wrong):
+                break
+            calmer = _calmed(simple, np.unique(simple.faces[wrong]))
+            still = _wrong_way(calmer, *normals)
+            if len(still) >= len(wrong):
+                break
+            simple, wrong = calmer, still
+        return simple, before, len(wrong)
+
+    def _normals(self, count: int) -> tuple[cKDTree, Array]:
+        """Evenly chosen raw faces: a tree of their centres, and their unit normals."""
+        raw = self.raw
+        some = raw.faces[:: max(1, len(raw.faces) // (NORMALS_PER_FACE * count))]
+        normal = unit(area_normals(raw.positions, some))
+        return cKDTree(raw.positions[some].mean(axis=1)), normal
+
+
+def _filled(simple: Surface, loops: list[Array]) -> Surface:
+    faces = [simple.faces, *(loop[least_area(simple.positions[loop])] for loop in loops)]
+    return mended(simple.positions, np.concatenate(faces))
+
+
+def _drawn_together(simple: Surface, loops: list[Array]) -> Surface:
+    """Each loop becomes one vertex, unless it is as large as the triangles around it."""
+    edges = edges_of(simple.faces).pairs
+    ends = simple.positions[edges]
+    typical = float(np.median(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)))
+    positions, target = simple.positions.copy(), np.arange(len(simple.positions))
+    for loop in loops:
+        if np.linalg.norm(np.ptp(simple.positions[loop], axis=0)) < typical:
+            target[loop] = loop[0]
+            positions[loop[0]] = simple.positions[loop].mean(axis=0)
+    return mended(positions, target[simple.faces])
+
+
+def _wrong_way(simple: Surface, tree: cKDTree, normals: Array) -> Array:
+    """Faces whose normal opposes that of each raw face nearby."""
+    centre = simple.positions[simple.faces].mean(axis=1)
+    normal = unit(area_normals(simple.positions, simple.faces))
+    near = tree.query(centre, min(NEAREST, len(normals)))[1].reshape(len(centre), -1)
+    agree = np.einsum("ijk,ik->ij", normals[near], normal).max(axis=1)
+    return np.flatnonzero(agree < 0.0)
+
+
+def _calmed(simple: Surface, vertices: Array) -> Surface:
+    """With these vertices at their neighbours' mean."""
+    pairs = edges_of(simple.faces).pairs
+    here = np.concatenate([pairs[:, 0], pairs[:, 1]])
+    there = np.concatenate([pairs[:, 1], pairs[:, 0]])
+    chosen = np.isin(here, vertices)
+    slot = np.searchsorted(vertices, here[chosen])
+    total = np.zeros((len(vertices), 3))
+    np.add.at(total, slot, simple.positions[there[chosen]])
+    positions = simple.positions.copy()
+    positions[vertices] = total / np.bincount(slot, minlength=len(vertices))[:, None]
+    return replace(simple, positions=positions)
