@@ -33,7 +33,7 @@ PAGE_PX = 4096
 # logarithm of the albedo): blotches, freckles, pores.
 MOTTLE = ((9.0, 0.05), (2.5, 0.05), (0.9, 0.05))
 # The ears of the real head in its own frame, in mm: |x| beyond the first number, y and z between.
-HEAD_EARS = (62.0, (45.0, 130.0), (-45.0, 30.0))
+HEAD_EARS = (66.0, (25.0, 95.0), (-16.0, 28.0))
 
 
 @dataclass(frozen=True)

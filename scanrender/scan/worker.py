@@ -60,6 +60,12 @@ def _self_intersections(arrays: Table, params: Table) -> tuple[Table, Table]:
     return self_intersections(arrays, params)
 
 
+def _plain(arrays: Table, params: Table) -> tuple[Table, Table]:
+    from scanrender.scan.plain import plain_call
+
+    return plain_call(arrays, params)
+
+
 def _fail(arrays: Table, params: Table) -> tuple[Table, Table]:
     """For tests: die or hang as native libraries do."""
     import time
@@ -79,6 +85,7 @@ TASKS: dict[str, Task] = {
     "xatlas": _xatlas,
     "pack": _pack,
     "self_intersections": _self_intersections,
+    "plain": _plain,
     "fail": _fail,
 }
 
