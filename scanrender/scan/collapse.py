@@ -97,8 +97,11 @@ def _fewer(
     return simple, reached
 
 
-def collapsed(surface: Surface, target: int, aggressiveness: float) -> tuple[Array, Array]:
-    """One run of the library: positions (n, 3), faces (m, 3) as it leaves them.
+def collapsed(
+    surface: Surface, target: int, aggressiveness: float, keep_border: bool = False
+) -> tuple[Array, Array]:
+    """One run of the library: positions (n, 3), faces (m, 3) as it leaves them; with `keep_border`
+    no edge with an end on the boundary collapses.
 
     It raises when the target exceeds the input, and drops all attributes.
     """
@@ -111,6 +114,7 @@ def collapsed(surface: Surface, target: int, aggressiveness: float) -> tuple[Arr
         np.ascontiguousarray(surface.faces, np.int32),
         target_count=min(target, len(surface.faces)),
         agg=float(aggressiveness),
+        preserve_border=keep_border,
     )
     return np.asarray(positions, np.float64) / scale + low, np.asarray(faces, np.int64)
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
+from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 
 from scanrender.scan.holes import least_area
@@ -52,7 +54,34 @@ def tidied(positions: Array, faces: Array) -> Surface:
     """Without what would mislead another collapse: broken, empty, doubled and crowding faces."""
     kept = faces[np.isfinite(positions[faces]).all(axis=(1, 2))]
     simple = plain_surface(np.nan_to_num(positions), kept)
-    return drop_extra_faces(drop_duplicates(drop_degenerate(simple))).compact()
+    simple = drop_pockets(drop_degenerate(simple))
+    return drop_extra_faces(drop_duplicates(simple)).compact()
+
+
+def drop_pockets(surface: Surface) -> Surface:
+    """Without closed bubbles that hang from the rest by an edge or a vertex.
+
+    A collapse makes them where it joins the two ends of a narrow neck. In a group of faces that
+    hang together by vertices only the largest part that hangs together by edges may be closed.
+    """
+    faces = surface.faces
+    edges = edges_of(faces)
+    first, second, _ = face_pairs(faces, edges)
+    ones = np.ones(len(first), np.int8)
+    graph = sparse.coo_matrix((ones, (first, second)), shape=(len(faces), len(faces)))
+    parts, part = csgraph.connected_components(graph, directed=False)
+    count, group = components(faces, len(surface.positions))
+    if parts == count:
+        return surface
+    area = np.bincount(part, face_areas(surface.positions, faces), minlength=parts)
+    is_open = np.zeros(parts, bool)
+    is_open[np.tile(part, 3)[edges.count[edges.half] == 1]] = True
+    of_part = np.zeros(parts, np.int64)
+    of_part[part] = group
+    order = np.lexsort((-area, of_part))
+    largest = np.zeros(parts, bool)
+    largest[order[np.unique(of_part[order], return_index=True)[1]]] = True
+    return surface.keep_faces((is_open | largest)[part])
 
 
 def mended(positions: Array, faces: Array) -> Surface:
