@@ -20,7 +20,15 @@ import numpy.typing as npt
 
 from scanrender.scan.curvature import mean_curvature
 from scanrender.scan.lost import sample_surface
-from scanrender.scan.mend import Reference, mended, plain_surface
+from scanrender.scan.mend import (
+    SAMPLES,
+    Reference,
+    mended,
+    nearest_mm,
+    plain_surface,
+    surface_tree,
+    tidied,
+)
 from scanrender.scan.surface import Surface
 from scanrender.scan.topology import face_areas
 
@@ -35,7 +43,6 @@ DIAGONAL = 500.0
 DETAIL_CURVATURE = 0.05
 DETAIL_MM = 2.0
 DETAIL_SHARE = 0.25  # of the area at most: where all is detail, nothing is
-ERROR_SAMPLES = 10_000
 
 
 def collapse_task(
@@ -57,7 +64,9 @@ def collapse_task(
             continue
         if multiple == STEPS[-1] and params["detail"]:
             simple, detail = weighed(simple)
-        simple = mended(*collapsed(simple, count, others if step else first))
+        simple = tidied(*collapsed(simple, count, others if step else first))
+    if simple is not raw:
+        simple = mended(simple.positions, simple.faces)
     error = ErrorOf(reference)
     reached = 0.0 if simple is raw else error(simple, bound)
     bounded = reached <= bound
@@ -88,8 +97,11 @@ def _fewer(
     return simple, reached
 
 
-def collapsed(surface: Surface, target: int, aggressiveness: float) -> tuple[Array, Array]:
-    """One run of the library: positions (n, 3), faces (m, 3) as it leaves them.
+def collapsed(
+    surface: Surface, target: int, aggressiveness: float, keep_border: bool = False
+) -> tuple[Array, Array]:
+    """One run of the library: positions (n, 3), faces (m, 3) as it leaves them; with `keep_border`
+    no edge with an end on the boundary collapses.
 
     It raises when the target exceeds the input, and drops all attributes.
     """
@@ -102,6 +114,7 @@ def collapsed(surface: Surface, target: int, aggressiveness: float) -> tuple[Arr
         np.ascontiguousarray(surface.faces, np.int32),
         target_count=min(target, len(surface.faces)),
         agg=float(aggressiveness),
+        preserve_border=keep_border,
     )
     return np.asarray(positions, np.float64) / scale + low, np.asarray(faces, np.int64)
 
@@ -135,29 +148,16 @@ class ErrorOf:
     the worse (Cignoni, Rocchini, Scopigno 1998), by seeded samples."""
 
     def __init__(self, reference: Reference) -> None:
-        self._raw = reference.raw
-        self._points = reference.samples(ERROR_SAMPLES, 2)
+        self._reference = reference
         self._tree: Any = None
 
-    def __call__(self, simple: Surface, bound: float = np.inf) -> float:
+    def __call__(self, simple: Surface, bound: float) -> float:
         """The second way is left out once the first exceeds `bound`: it needs a tree of the raw
         surface, which takes longer to make than all the rest."""
-        worst = _within(_tree(simple), simple, self._points)
+        worst = float(np.percentile(self._reference.distances(simple), 99))
         if worst <= bound:
-            self._tree = self._tree or _tree(self._raw)
-            points = sample_surface(simple.positions, simple.faces, ERROR_SAMPLES, 1)
-            worst = max(worst, _within(self._tree, self._raw, points))
+            raw = self._reference.raw
+            self._tree = self._tree or surface_tree(raw)
+            points = sample_surface(simple.positions, simple.faces, SAMPLES, 1)
+            worst = max(worst, float(np.percentile(nearest_mm(self._tree, raw, points), 99)))
         return worst
-
-
-def _tree(surface: Surface) -> Any:
-    import igl
-
-    tree = igl.AABB()
-    tree.init(surface.positions, surface.faces)
-    return tree
-
-
-def _within(tree: Any, surface: Surface, points: Array) -> float:
-    squared, _, _ = tree.squared_distance(surface.positions, surface.faces, points)
-    return float(np.sqrt(max(float(np.percentile(squared, 99)), 0.0)))

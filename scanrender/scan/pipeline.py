@@ -27,6 +27,7 @@ from scanrender.scan.high import High, Low, make_high
 from scanrender.scan.ingest import read_scan
 from scanrender.scan.inspect import inspect_scan
 from scanrender.scan.journal import Journal, Progress
+from scanrender.scan.levels import make_lods
 from scanrender.scan.lost import surface_distance
 from scanrender.scan.mend import plain_surface
 from scanrender.scan.meshlab import count_self_intersections
@@ -93,6 +94,7 @@ def _prepared(
         notes["steps"] = list(cleaned.steps)
         journal.warnings += cleaned.frame.warnings
     high, low, shape, lost = _shapes(cleaned, prep, journal, as_is)
+    lods, levels = _levels_of_detail(high, low, prep, journal)
     maps, more = _baked(raw, high, low, shape, mask, prep, journal, views)
     lost.update(more)
     _warn_of_losses(lost, prep, low, journal)
@@ -109,9 +111,10 @@ def _prepared(
         "health": health.result() if health else None,
         "stages": journal.stages,
         "lost": lost,
+        "lods": levels,
         "warnings": journal.warnings,
     }
-    return Asset(low.mesh, maps, info)
+    return Asset(low.mesh, maps, info, lods)
 
 
 def _health(
@@ -206,6 +209,25 @@ def _low_mesh(
         tangents = vertex_tangents(split, result.faces, split_normals, uv)
         mesh = Mesh(split, split_normals, tangents, uv, result.faces.astype(np.uint32))
     return Low(positions, faces, normals, result, mesh)
+
+
+def _levels_of_detail(
+    high: High, low: Low, prep: PrepSettings, journal: Journal
+) -> tuple[list[Mesh], list[dict[str, Any]]]:
+    """Coarser meshes on the same atlas, and for each its triangles and errors in mm."""
+    if not prep.simplify.lods:
+        return [], []
+    with journal.stage("levels of detail") as notes:
+        meshes, slides, notes["problems"] = make_lods(low.mesh, prep.simplify.lods, prep.timeout_s)
+        journal.warnings += [f"no level of detail of {what}" for what in notes["problems"]]
+        levels = []
+        for mesh, slide in zip(meshes, slides, strict=True):
+            positions, faces = mesh.positions_mm.astype(np.float64), mesh.faces.astype(np.int64)
+            away = surface_distance(high.target, positions, faces)["symmetric_mm"]
+            levels.append(
+                {"triangles": len(faces), "error_mm": away["p99"], "texture_slide_mm": slide}
+            )
+        return meshes, levels
 
 
 def _baked(

@@ -36,6 +36,12 @@ def _simplify(arrays: Table, params: Table) -> tuple[Table, Table]:
     return collapse_task(arrays, params)
 
 
+def _lods(arrays: Table, params: Table) -> tuple[Table, Table]:
+    from scanrender.scan.lods import lods_task
+
+    return lods_task(arrays, params)
+
+
 def _charts(arrays: Table, params: Table) -> tuple[Table, Table]:
     from scanrender.scan.unwrap_charts import unwrap_by_charts
 
@@ -81,6 +87,7 @@ def _fail(arrays: Table, params: Table) -> tuple[Table, Table]:
 
 TASKS: dict[str, Task] = {
     "simplify": _simplify,
+    "lods": _lods,
     "charts": _charts,
     "xatlas": _xatlas,
     "pack": _pack,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from scanrender.settings.base import Section, setting
 
@@ -65,6 +67,11 @@ class SimplifySettings(Section):
         unit="mm",
         ge=0.001,
         le=100,
+    )
+    lods: tuple[Annotated[int, Field(ge=500)], ...] = setting(
+        (),
+        "Levels of detail: coarser meshes of so many triangles that share the maps; lod1.glb, …",
+        unit="triangles",
     )
 
 
