@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.asset import Asset, Mesh
-from scanrender.errors import ScanrenderError
+from scanrender.errors import ScanError, ScanrenderError, StageError
 from scanrender.images import Image
 from scanrender.scan.bake_albedo import ColorSource
 from scanrender.scan.bake_normals import NormalSource
@@ -36,7 +36,7 @@ from scanrender.scan.report import atlas_report, color_error
 from scanrender.scan.simplify import simplify
 from scanrender.scan.surface import Surface
 from scanrender.scan.tangents import vertex_tangents
-from scanrender.scan.topology import edges_of, vertex_normals
+from scanrender.scan.topology import components, edges_of, vertex_normals
 from scanrender.scan.unwrap import as_is_unwrapped, unwrap
 from scanrender.scan.views import make_views
 from scanrender.settings.prep import PrepSettings
@@ -45,6 +45,7 @@ from scanrender.settings.scan import ScanSettings
 Array = npt.NDArray[Any]
 
 MESHLAB_TIMEOUT_S = 60.0  # it only counts: not worth waiting for
+LOOSE_SHARE = 0.1  # pieces to a triangle
 # Health is looked at beside the cleaning, with a mesh of its own: not where memory is short.
 HEALTH_MAX_BYTES = 250_000_000
 
@@ -151,7 +152,10 @@ def _simplified(
         if as_is:
             notes["method"] = "none: as is"
             return surface.positions, surface.faces
-        positions, faces, report = simplify(surface, prep.simplify.triangles, prep.timeout_s)
+        try:
+            positions, faces, report = simplify(surface, prep.simplify.triangles, prep.timeout_s)
+        except StageError as error:
+            raise _loose(surface) or error from error
         notes.update(report)
         if report.get("over_budget"):
             journal.warnings.append(
@@ -159,6 +163,16 @@ def _simplified(
                 "fewer would damage the surface"
             )
         return positions, faces
+
+
+def _loose(surface: Surface) -> ScanError | None:
+    """What is wrong with a surface that cannot be simplified, when it is that it is none."""
+    count, _ = components(surface.faces, len(surface.positions))
+    if count < LOOSE_SHARE * len(surface.faces):
+        return None
+    size = len(surface.faces) / count
+    what = f"the scan is {count:,} loose pieces of {size:.1f} triangles each, no surface"
+    return ScanError(what, fix="weld it in the scanning software, or reconstruct it again")
 
 
 def _low_mesh(
