@@ -103,3 +103,12 @@ def test_real_heads_face_forward(name, front, turn, mm_per_unit, tolerance):
     assert health["axes"]["front_confidence"] in ("medium", "high")
     scale_is_a_guess = any("the scale is a guess" in warning for warning in health["warnings"])
     assert scale_is_a_guess == (health["units"]["confidence"] == "low")
+
+
+@pytest.mark.parametrize("flat", [0, 1, 2])
+def test_a_flat_sheet_is_not_taken_for_a_bust_cut_off_at_its_base(flat):
+    """Its whole border lies at both ends of the axis across it: that says nothing about up."""
+    corners = np.insert([[0.0, 0.0], [200.0, 0.0], [200.0, 300.0], [0.0, 300.0]], flat, 7.0, axis=1)
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    axes = find_frame(RawMesh(corners, faces), corners, faces, ScanSettings()).axes
+    assert axes["up_confidence"] != "high"
