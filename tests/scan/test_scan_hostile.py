@@ -109,6 +109,14 @@ REFUSED = {
     "doubling.glb": (
         glb(gltf(nodes=[{"children": [i + 1, i + 1]} for i in range(40)] + [{"mesh": 0}]),
             TRIANGLE), "loop"),
+    # Bulk conversions take the longest word's width for all of them: 150 GB here.
+    "long-word.obj": (
+        b"v 0 0 0\n" * 50_000 + b"v 0 0 " + b"1" * 1_000_000 + b"\nf 1 2 3\n",
+        "is not made of numbers"),
+    "long-word.off": (
+        b"OFF\n50001 1 0\n" + b"0 0 0\n" * 50_000 + b"0 0 " + b"1" * 1_000_000 + b"\n3 0 1 2\n",
+        "damaged"),
+    "nested.gltf": (b'{"asset":' + b"[" * 200_000, "not valid glTF JSON"),
     "no-index.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 7 8 9\nf -7 -8 -9\n", "no usable face"),
     "not-finite.obj": (b"v nan 0 0\nv inf 0 0\nv 0 -inf 0\nf 1 2 3\n", "no usable face"),
     "degenerate.obj": (b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\nf 1 1 2\n", "has an area"),
