@@ -14,6 +14,7 @@ from scanrender.errors import ScanError, UsageError
 from scanrender.scan.memory import OUT_OF_MEMORY
 from scanrender.scan.pages import Page
 from scanrender.scan.raw import NO_PAGE, RawMesh
+from scanrender.scan.topology import used_vertices
 from scanrender.settings.scan import ScanSettings
 
 FORMATS = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
@@ -135,7 +136,7 @@ def _validated(raw: RawMesh, path: Path) -> RawMesh:
         raise ScanError(
             f"{path.name} has no size: all its vertices coincide", where, "export it again"
         )
-    raw = _usable_pages(raw, notes)
+    raw = _usable_pages(_without_strays(raw), notes)
     if raw.colors is not None and _says_nothing(raw.colors):
         raw = replace(raw, colors=None)
         if raw.color_source == "none":
@@ -143,6 +144,22 @@ def _validated(raw: RawMesh, path: Path) -> RawMesh:
     if raw.color_source == "none" and not raw.pages and _has_coordinates(raw):
         notes.append("the scan has texture coordinates but no image: copy it beside the scan")
     return replace(raw, notes=tuple(notes))
+
+
+def _without_strays(raw: RawMesh) -> RawMesh:
+    """Without vertices that no face uses, where one lies outside the scan, or nowhere at all: the
+    size of the scan is what tolerances are relative to."""
+    kept = used_vertices(raw.faces, len(raw.positions))
+    if len(kept) == len(raw.positions):
+        return raw
+    used = raw.positions[kept]
+    inside = (raw.positions >= used.min(axis=0)) & (raw.positions <= used.max(axis=0))
+    if inside.all():
+        return raw
+    new_index = np.zeros(len(raw.positions), np.int64)
+    new_index[kept] = np.arange(len(kept))
+    colors = None if raw.colors is None else raw.colors[kept]
+    return replace(raw, positions=used, faces=new_index[raw.faces], colors=colors)
 
 
 def _has_coordinates(raw: RawMesh) -> bool:

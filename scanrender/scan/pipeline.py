@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.asset import Asset, Mesh
-from scanrender.errors import ScanrenderError
+from scanrender.errors import ScanError, ScanrenderError, StageError
 from scanrender.images import Image
 from scanrender.scan.bake_albedo import ColorSource
 from scanrender.scan.bake_normals import NormalSource
@@ -41,7 +41,7 @@ from scanrender.scan.simplify import simplify
 from scanrender.scan.skinmask import SkinMask, read_skin_mask
 from scanrender.scan.surface import Surface
 from scanrender.scan.tangents import vertex_tangents
-from scanrender.scan.topology import edges_of, vertex_normals
+from scanrender.scan.topology import components, edges_of, vertex_normals
 from scanrender.scan.unwrap import as_is_unwrapped, unwrap
 from scanrender.scan.views import make_views
 from scanrender.settings.prep import PrepSettings
@@ -51,6 +51,7 @@ Array = npt.NDArray[Any]
 
 MESHLAB_TIMEOUT_S = 60.0  # it only counts: not worth waiting for
 NOTABLE_MM = 0.2  # a surface moved by more shows in a portrait's outline
+LOOSE_SHARE = 0.1  # pieces to a triangle
 # Health is looked at beside the cleaning, with a mesh of its own: not where memory is short.
 HEALTH_MAX_BYTES = 250_000_000
 SIMPLIFIED_BYTES = 1_000_000  # a smaller file is hardly above any budget of triangles
@@ -173,7 +174,10 @@ def _simplified(
         if as_is:
             notes["method"] = "none: as is"
             return cleaned.surface.positions, cleaned.surface.faces
-        positions, faces, report = simplify(cleaned.skin, prep.simplify, prep.timeout_s)
+        try:
+            positions, faces, report = simplify(cleaned.skin, prep.simplify, prep.timeout_s)
+        except StageError as error:
+            raise _loose(cleaned.skin) or error from error
         notes.update(report)
         if report["over_budget"]:
             journal.warnings.append(
@@ -186,6 +190,16 @@ def _simplified(
             capped, notes["cap_faces"] = close_neck(plain_surface(positions, faces))
             return capped.positions, capped.faces
         return positions, faces
+
+
+def _loose(surface: Surface) -> ScanError | None:
+    """What is wrong with a surface that cannot be simplified, when it is that it is none."""
+    count, _ = components(surface.faces, len(surface.positions))
+    if count < LOOSE_SHARE * len(surface.faces):
+        return None
+    size = len(surface.faces) / count
+    what = f"the scan is {count:,} loose pieces of {size:.1f} triangles each, no surface"
+    return ScanError(what, fix="weld it in the scanning software, or reconstruct it again")
 
 
 def _low_mesh(

@@ -80,6 +80,8 @@ def _fail(arrays: Table, params: Table) -> tuple[Table, Table]:
         time.sleep(params.get("seconds", 60.0))
     elif params["how"] == "raise":
         raise ValueError("asked to fail")
+    elif params["how"] == "allocate":
+        np.ones(params["mib"] << 17)
     else:
         os.kill(os.getpid(), getattr(signal, params["how"]))
     return {}, {}
