@@ -70,7 +70,7 @@ class SimplifySettings(Section):
     )
     lods: tuple[Annotated[int, Field(ge=500)], ...] = setting(
         (),
-        "Levels of detail: coarser meshes of so many triangles that share the maps; lod1.glb, …",
+        "Levels of detail: coarser meshes of so many triangles, as lod1.glb and so on; same maps.",
         unit="triangles",
     )
 
