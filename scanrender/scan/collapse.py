@@ -13,6 +13,7 @@ centroid it adds one vertex of valence three, at the edges it would leave holes 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from scanrender.scan.mend import (
     surface_tree,
     tidied,
 )
+from scanrender.scan.refit import noise_mm, refitted
 from scanrender.scan.surface import Surface
 from scanrender.scan.topology import face_areas
 
@@ -72,6 +74,8 @@ def collapse_task(
     bounded = reached <= bound
     if bounded:
         simple, reached = _fewer(simple, reached, bound, error, others)
+    else:
+        simple, reached = _without_noise(simple, reached, bound, raw, error)
     report = {"error_mm": reached, "bound": bounded, "detail": detail}
     simple, found = reference.validated(simple)
     return {"positions": simple.positions, "faces": simple.faces}, {**report, **found}
@@ -95,6 +99,18 @@ def _fewer(
         else:
             share = np.sqrt(FINER)  # once more, half as far
     return simple, reached
+
+
+def _without_noise(
+    simple: Surface, reached: float, bound: float, raw: Surface, error: ErrorOf
+) -> tuple[Surface, float]:
+    """Refitted to the raw points where these scatter by more than the bound, if that is nearer."""
+    if noise_mm(raw.positions, raw.faces) <= bound:
+        return simple, reached
+    moved = refitted(simple.positions, simple.faces, raw.positions, surface_tree(simple))
+    nearer = replace(simple, positions=moved)
+    within = error(nearer)
+    return (nearer, within) if within < reached else (simple, reached)
 
 
 def collapsed(

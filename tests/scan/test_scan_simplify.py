@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import igl
 import numpy as np
 import pytest
 from scan_shapes import cube, sphere
@@ -17,6 +18,7 @@ from scanrender.scan.curvature import mean_curvature
 from scanrender.scan.lost import sample_surface
 from scanrender.scan.mend import Reference, fold_count, mended, plain_surface
 from scanrender.scan.rays import Target
+from scanrender.scan.refit import noise_mm, refitted
 from scanrender.scan.simplify import ATTEMPTS, simplify
 from scanrender.scan.topology import boundary_loops, components, edges_of, face_areas
 from scanrender.settings.prep import SimplifySettings
@@ -227,3 +229,33 @@ def test_a_crash_is_followed_by_another_attempt(ball, monkeypatch):
     _, faces, report = simplify(ball, SimplifySettings(triangles=1000), 60.0)
     assert len(faces) <= 1000
     assert report["rejected"] == ["in steps, detail weighted: the stage 'simplify' crashed"]
+
+
+def test_a_noisy_surface_is_fitted_to_its_points_and_a_border_stays():
+    rng = np.random.default_rng(3)
+    side, step = 61, 1.0
+    x, y = np.meshgrid(np.arange(side) * step, np.arange(side) * step, indexing="ij")
+    height = 6.0 * np.cos(x / 20.0) * np.cos(y / 25.0)
+    exact = np.stack([x, y, height], axis=-1).reshape(-1, 3)
+    noisy = exact + np.array([0.0, 0.0, 0.1]) * rng.standard_normal((len(exact), 1))
+    i = np.arange(side * side).reshape(side, side)
+
+    def grid(stride: int) -> tuple[np.ndarray, np.ndarray]:
+        j = i[::stride, ::stride]
+        a, b, c, d = j[:-1, :-1], j[1:, :-1], j[1:, 1:], j[:-1, 1:]
+        faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+        used, faces = np.unique(faces, return_inverse=True)
+        return used, faces.reshape(-1, 3)
+
+    assert noise_mm(exact, grid(1)[1]) < 0.01
+    assert noise_mm(noisy, grid(1)[1]) == pytest.approx(0.1, rel=0.1)
+    used, faces = grid(4)
+    tree = igl.AABB()
+    tree.init(noisy[used], faces)
+    moved = refitted(noisy[used], faces, noisy, tree)
+    inner = (exact[used, :2] > 0.0).all(axis=1) & (exact[used, :2] < 60.0).all(axis=1)
+    np.testing.assert_array_equal(moved[~inner], noisy[used][~inner])
+    before, after = (
+        np.sqrt(np.mean((p[inner, 2] - exact[used][inner, 2]) ** 2)) for p in (noisy[used], moved)
+    )
+    assert after < 0.7 * before
