@@ -109,7 +109,7 @@ def _without_noise(
         return simple, reached
     moved = refitted(simple.positions, simple.faces, raw.positions, surface_tree(simple))
     nearer = replace(simple, positions=moved)
-    within = error(nearer)
+    within = error(nearer, np.inf)
     return (nearer, within) if within < reached else (simple, reached)
 
 
