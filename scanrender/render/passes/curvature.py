@@ -1,4 +1,4 @@
-"""curvature: curvature_raw smoothed along the surface, rows then columns."""
+"""curvature: curvature_raw, or the asset's map, smoothed on the surface, rows then columns."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from scanrender.render.scene import Scene, Shot
 
 
 def passes(scene: Scene) -> list[Pass]:
+    source = "_baked" if scene.pipeline.curvature.source == "baked" else "curvature_raw"
     return [
-        _direction(scene, "curvature_raw", "_curvature_horizontal", (1, 0)),
+        _direction(scene, source, "_curvature_horizontal", (1, 0)),
         _direction(scene, "_curvature_horizontal", "curvature", (0, 1)),
     ]
 
