@@ -71,7 +71,6 @@ def _direction(
         program = scene.device.program("gaussian_sum", defines=switches(scene))
         is_direct = level == 0 or level_is_narrow(scene, shot, level)
         blurred = "diffusion_input" if is_direct and direction == (1, 0) else source
-        texture = inputs[blurred]
         bind(
             program,
             {
@@ -79,9 +78,7 @@ def _direction(
                 **level_uniforms(scene, shot, direction, level, is_direct),
             },
         )
-        texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
         scene.device.fill(program)
-        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
 
     first = ("diffusion_input",) if direction == (1, 0) else ()
     reads = tuple(dict.fromkeys((source, *first, *guides(scene))))

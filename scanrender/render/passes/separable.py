@@ -54,7 +54,6 @@ def _direction(scene: Scene, source: str, written: str, direction: tuple[int, in
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
         program = scene.device.program("separable", defines=switches(scene))
-        texture = inputs[source]
         bind(
             program,
             {
@@ -62,9 +61,7 @@ def _direction(scene: Scene, source: str, written: str, direction: tuple[int, in
                 **tap_uniforms(scene, shot, program),
             },
         )
-        texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
         scene.device.fill(program)
-        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
 
     return Pass(written, (source, *guides(scene)), (Buffer(written),), draw)
 

@@ -5,8 +5,8 @@
 // (d'Eon & Luebke 2007; Jimenez & Gutierrez 2010 in screen space).
 // Radius on screen: px = mm 0.5 H P11 / z: independent of distance, field of view, aspect and
 // resolution. Up to narrow_px sigma the taps are whole pixels, with weights from a table of exact
-// integrals over pixel footprints, that tends to the identity; wider ones are bilinear fetches whose
-// own variance is taken off.
+// integrals over pixel footprints, that tends to the identity; wider ones lie between two pixels, and
+// the variance of that is taken off.
 // Across a depth step a tap counts exp(-dz^2 / 2v), the Gaussian's own third dimension, so there is
 // no scale constant. HALO_MEASURE: the distance is that of the 3-D points, and a tilted plane's
 // foreshortening narrows the kernel on screen. Check alone: constant irradiance stays constant.
@@ -20,7 +20,7 @@ uniform vec2 taps[255];          // (offset in sigma, weight); the first tap_cou
 uniform int tap_count;
 uniform float tap_cell;          // sigma, how far a tap may move
 uniform float sigma_mm;          // of this increment
-uniform float bilinear_px2;      // variance taken off a bilinear tap
+uniform float bilinear_px2;      // variance taken off a tap between two pixels
 uniform float shift_px;          // the sample's place in its pixel, along the direction
 
 void main() {
@@ -40,31 +40,14 @@ void main() {
         vec2 size = vec2(textureSize(table, 0));
         float row = (sigma_px / table_px * (size.y - 1.0) + 0.5) / size.y;
         for (int j = -radius; j <= radius; ++j) {
-            ivec2 texel = inside(here + j * ivec2(direction));
             float k = textureLod(table, vec2((float(j + radius) + 0.5) / size.x, row), 0.0).r;
-            float beyond = depth_mm2(texel, float(j * j) * step_mm2);
-            float near = min(exp(-beyond * falloff), 4.0);
-            add(k, texelFetch(source, texel, 0), near, guide(texel));
+            add_at(k, j, step_mm2, falloff);
         }
     } else {
-        // Of a plane tilted by t, exp(-t^2 x^2 / 2v) will come from the depths below.
-        float tilt2 = clamp(stretch - 1.0, 0.0, max(v_px / 0.5 - 1.0, 0.0));
-        float wanted = v_px / (1.0 + tilt2) - bilinear_px2;
-        float reach = inversesqrt(1.0 / wanted - tilt2 / v_px);
-        float falloff = 0.5 / v;
+        float reach = sqrt(v_px - bilinear_px2);
         float moved = 2.0 * noise() * tap_cell;
-        vec2 inverse_size = 1.0 / vec2(last + 1);
-        for (int i = 0; i < tap_count; ++i) {
-            float offset = (taps[i].x + moved) * reach - shift_px;
-            vec2 at = gl_FragCoord.xy + direction * offset;
-            ivec2 texel = inside(ivec2(floor(at)));
-            // Depth is known at texels; on a slope it grows with the square of the distance.
-            float flat_px = dot(vec2(texel - here), direction);
-            float beyond = depth_mm2(texel, flat_px * flat_px * mm_per_px * mm_per_px);
-            beyond *= offset * offset / max(flat_px * flat_px, 0.25);
-            float near = min(exp(-beyond * falloff), 4.0);
-            add(taps[i].y, textureLod(source, at * inverse_size, 0.0), near, guide(texel));
-        }
+        for (int i = 0; i < tap_count; ++i)
+            add_between(taps[i].y, (taps[i].x + moved) * reach - shift_px, mm_per_px * mm_per_px, 0.5 / v);
     }
     finish();
 }

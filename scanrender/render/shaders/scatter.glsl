@@ -165,6 +165,23 @@ void add(WEIGHT k, vec4 tap, WEIGHT near, float guided) {
 #endif
 }
 
+// The pixel `steps` away along the direction; `step_mm2` is the squared length of one step.
+void add_at(WEIGHT k, int steps, float step_mm2, WEIGHT falloff) {
+    ivec2 texel = inside(here + steps * ivec2(direction));
+    float beyond = depth_mm2(texel, float(steps * steps) * step_mm2);
+    // Nearer than a flat step: perspective, or skin that bends toward the eye. Never for long.
+    WEIGHT near = min(exp(-beyond * falloff), WEIGHT(4.0));
+    add(k, texelFetch(source, texel, 0), near, guide(texel));
+}
+
+// A tap between two pixels: each by its own depth and guide, so that nothing crosses with a filter.
+void add_between(WEIGHT k, float offset_px, float step_mm2, WEIGHT falloff) {
+    float low = floor(offset_px);
+    float share = offset_px - low;
+    add_at(k * (1.0 - share), int(low), step_mm2, falloff);
+    add_at(k * share, int(low) + 1, step_mm2, falloff);
+}
+
 void finish() {
 #ifdef WEIGHTS
     weight_sum = vec4(share * vec3(total / asked), 0.0);

@@ -4,8 +4,8 @@
 // The kernel is a(x) a(y), a per channel: the profile's line integral, or two Gaussians. Exact for
 // straight edges along x or y, but a picture of a round profile by rank 1: 28 % of red's energy lands
 // in the wrong place, in a cross. A finding, not a bug.
-// Tap weights are exact integrals over cells; bilinear fetches below a pixel make the pixel's
-// footprint of them. Offsets are mm, px = mm 0.5 H P11 / z. Across a depth step a tap counts
+// Tap weights are exact integrals over cells; shared between two pixels they make the
+// pixel's footprint. Offsets are mm, px = mm 0.5 H P11 / z. Across a depth step a tap counts
 // a(sqrt(x^2 + dz^2)) / a(x), to first order in dz^2. Check alone: constants stay constant.
 #define WEIGHT vec3
 #include "scatter.glsl"
@@ -30,19 +30,12 @@ void main() {
     float moved = 2.0 * noise();
     // A pixel is no point: its own variance counts with the kernel's.
     float pixel_mm2 = step_mm2 / 6.0;
-    vec2 inverse_size = 1.0 / vec2(last + 1);
     for (int i = 0; i < tap_count; ++i) {
         vec4 tap = weight_offset[i];
         vec4 side = falloff_cell[i];
-        float offset = (tap.a + moved * side.a) * px_per_mm;
-        vec2 at = gl_FragCoord.xy + direction * offset;
-        ivec2 texel = inside(ivec2(floor(at)));
-        float flat_px = dot(vec2(texel - here), direction);
-        float beyond = depth_mm2(texel, flat_px * flat_px * step_mm2);
-        beyond *= offset * offset / max(flat_px * flat_px, 0.25);
         vec3 q = side.rgb * narrower;
-        vec3 near = min(exp(-beyond * q / (1.0 + 2.0 * q * pixel_mm2)), 4.0);
-        add(tap.rgb, textureLod(source, at * inverse_size, 0.0), near, guide(texel));
+        float offset_px = (tap.a + moved * side.a) * px_per_mm;
+        add_between(tap.rgb, offset_px, step_mm2, q / (1.0 + 2.0 * q * pixel_mm2));
     }
     finish();
 }
