@@ -48,6 +48,7 @@ def guides(scene: Scene) -> tuple[str, ...]:
     """The buffers that a filter reads beside its source."""
     on = switches(scene)
     by_switch = {
+        "HALO_DEPTH": "normal_geometry",
         "HALO_MEASURE": "normal_geometry",
         "GUIDE_EDGE": "edge_guide",
         "GUIDE_LAB": "lab",

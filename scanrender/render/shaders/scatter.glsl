@@ -1,6 +1,7 @@
 // What every diffusion filter shares: how much a tap counts, and how light and mask add up.
 // A filter defines WEIGHT (float, or vec3 for a kernel per channel) and includes this. Switches:
-//   HALO_DEPTH    what a depth step takes from a tap goes to the centre (Jimenez)
+//   HALO_DEPTH    what a depth step takes from a tap goes to the centre (Jimenez); a step is what
+//                 leaves the surface's own slope
 //   HALO_MEASURE  it is lost to the normalization; with diffusion_input's jacobian in the mask the
 //                 result is a mean over the surface (Mikkelsen 2010)
 //   GUIDE_EDGE    exp(-c |E_p - E_q|), the cross bilateral filter of the paper, eq. 7
@@ -13,7 +14,7 @@ uniform sampler2D source;        // RGB premultiplied, a = mask
 uniform sampler2D depth_mm;      // -z, 0 where there is no surface
 uniform vec2 direction;          // (1,0) or (0,1)
 uniform float px_per_mm_at_1mm;
-#ifdef HALO_MEASURE
+#if defined(HALO_DEPTH) || defined(HALO_MEASURE)
 uniform sampler2D normal_geometry;
 uniform vec4 ray;                // view xy / depth = gl_FragCoord.xy * ray.xy + ray.zw
 #endif
@@ -50,8 +51,9 @@ float centre_z;
 float mm_per_px;                 // facing, at the centre's depth
 vec3 sum = vec3(0.0);
 WEIGHT total = WEIGHT(0.0);
-#ifdef HALO_MEASURE
+#if defined(HALO_DEPTH) || defined(HALO_MEASURE)
 vec3 centre_ray;                 // view position / depth
+vec3 surface_step;               // mm that one pixel step along the direction moves on the surface
 #endif
 #ifdef GUIDE_EDGE
 float centre_edge;
@@ -77,8 +79,14 @@ bool begin() {
     if (centre_z <= 0.0) return false;
     centre = texelFetch(source, here, 0);
     mm_per_px = max(centre_z, 1e-6) / px_per_mm_at_1mm;
-#ifdef HALO_MEASURE
+#if defined(HALO_DEPTH) || defined(HALO_MEASURE)
+    // On the plane n.(x - p) = 0 a step e moves the point by (z / f) (e - r (n.e) / (n.r)), r = p / z.
     centre_ray = vec3(gl_FragCoord.xy * ray.xy + ray.zw, -1.0);
+    vec3 n = texelFetch(normal_geometry, here, 0).xyz;
+    float facing = dot(n, centre_ray);
+    float least = 0.05 * length(centre_ray);  // no raw 1/cos
+    facing = facing < 0.0 ? min(facing, -least) : max(facing, least);
+    surface_step = mm_per_px * (vec3(direction, 0.0) - centre_ray * (dot(n, vec3(direction, 0.0)) / facing));
 #endif
 #ifdef GUIDE_EDGE
     centre_edge = texelFetch(edge_guide, here, 0).r;
@@ -115,8 +123,8 @@ float noise() {
 
 ivec2 inside(ivec2 texel) { return clamp(texel, ivec2(0), last); }
 
-// Squared distance in mm that the tap has beyond the one on screen, `flat_mm2`.
-float depth_mm2(ivec2 texel, float flat_mm2) {
+// Squared distance in mm that the pixel `steps` away has beyond `flat_mm2`.
+float beyond_mm2(ivec2 texel, float steps, float flat_mm2) {
 #if defined(HALO_DEPTH) || defined(HALO_MEASURE)
     float z = texelFetch(depth_mm, texel, 0).r;
     // Where nothing was drawn there is no depth; its mask of 0 already keeps it out.
@@ -126,7 +134,10 @@ float depth_mm2(ivec2 texel, float flat_mm2) {
     vec3 d = q - centre_ray * centre_z;
     return dot(d, d) - flat_mm2;
 #else
-    float dz = z - centre_z;
+    // From the surface's own slope: turned skin is no step. Up to 63 deg, so that the last pixels
+    // before a silhouette do not take what lies behind for their own surface.
+    float slope = clamp(-surface_step.z, -2.0 * mm_per_px, 2.0 * mm_per_px);
+    float dz = z - centre_z - slope * steps;
     return dz * dz;
 #endif
 #else
@@ -168,7 +179,7 @@ void add(WEIGHT k, vec4 tap, WEIGHT near, float guided) {
 // The pixel `steps` away along the direction; `step_mm2` is the squared length of one step.
 void add_at(WEIGHT k, int steps, float step_mm2, WEIGHT falloff) {
     ivec2 texel = inside(here + steps * ivec2(direction));
-    float beyond = depth_mm2(texel, float(steps * steps) * step_mm2);
+    float beyond = beyond_mm2(texel, float(steps), float(steps * steps) * step_mm2);
     // Nearer than a flat step: perspective, or skin that bends toward the eye. Never for long.
     WEIGHT near = min(exp(-beyond * falloff), WEIGHT(4.0));
     add(k, texelFetch(source, texel, 0), near, guide(texel));
@@ -196,15 +207,6 @@ void finish() {
 }
 
 #ifdef HALO_MEASURE
-// How much longer one pixel step along `direction` is on the surface than facing, squared.
-// On the plane n.(x - p) = 0 a step e moves the point by (z / f) (e - r (n.e) / (n.r)), r = p / z.
-float stretch2() {
-    vec3 n = texelFetch(normal_geometry, here, 0).xyz;
-    vec3 e = vec3(direction, 0.0);
-    float facing = dot(n, centre_ray);
-    float least = 0.05 * length(centre_ray);  // no raw 1/cos
-    facing = facing < 0.0 ? min(facing, -least) : max(facing, least);
-    vec3 g = e - centre_ray * (dot(n, e) / facing);
-    return max(dot(g, g), 1e-2);
-}
+// How much longer one pixel step along the direction is on the surface than facing, squared.
+float stretch2() { return max(dot(surface_step, surface_step) / (mm_per_px * mm_per_px), 1e-2); }
 #endif
