@@ -166,7 +166,7 @@ class DiffusionSettings(Section):
         unit="",
     )
     limit_delta_e: float = setting(
-        10.0, "Colour difference at which a tap counts 0.6.", unit="ΔE", ge=0.1, le=1000
+        5.0, "Colour difference at which a tap counts 0.6.", unit="ΔE", ge=0.1, le=1000
     )
     limit_smooth_mm: float = setting(
         1.0,

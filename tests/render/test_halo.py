@@ -94,7 +94,7 @@ def crumpled() -> Asset:
     sheet = quad((-14, -14), (14, 14), z=-6)
     edge_on = turned(plane(10.0), 89.9, "y").mesh
     ball = sphere_mesh(8.0, 12, (4, 3, 4))
-    flipped = mesh(ball.positions_mm + [-11, -8, 0], -ball.normals, ball.uv, ball.faces)
+    flipped = mesh(ball.positions_mm - np.array([11, 8, 0]), -ball.normals, ball.uv, ball.faces)
     return Asset(joined([sheet, edge_on, ball, flipped]), {"albedo": flat_map(0.7, 0.5, 0.4)})
 
 
@@ -184,7 +184,7 @@ def test_scattering_across_a_shadow_s_edge_survives(gl: Device, halo: str):
 
 
 def test_a_huge_contrast_stops_leaks_by_stopping_scattering(gl: Device):
-    """Measure both, or a filter that does nothing at all wins figure 5. Skin is never one colour."""
+    """Measure both, or a filter that does nothing wins figure 5. Skin is never of one colour."""
     noise = np.random.default_rng(0).normal(0.6, 0.02, (256, 256, 1))
     dark_left = np.repeat(np.arange(256)[None] >= 128, 256, axis=0).astype(np.float32)
     maps = {"albedo": np.repeat(noise, 3, axis=2), "ao": dark_left[:, :, None]}

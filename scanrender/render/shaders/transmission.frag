@@ -52,12 +52,14 @@ vec3 crossing(vec3 p, vec3 n, vec3 l, ivec2 here) {
     vec3 t = d >= opaque_mm ? vec3(0.0) : transmittance_at(d);
     if (!has_shadow || d >= opaque_mm) return t;
     LightPoint back = light_point(p - n * d);
+    vec2 slope = plane_slope(n);
     // The back leans and bends: the map's d does not lead to it exactly.
     float slack = max(bias_mm, 0.5 * d) + texel_mm;
     float seen = 0.0;
     for (int i = 0; i < tap_count; ++i) {
         vec2 offset = disk_point(i, tap_count, turn) * max(blur_mm, texel_mm);
-        seen += texture(shadow_map, back.uv + offset / back.mm_per_uv).r < back.depth_mm - slack ? 0.0 : 1.0;
+        float first = texture(shadow_map, back.uv + offset / back.mm_per_uv).r;
+        seen += first < back.depth_mm + dot(slope, offset) - slack ? 0.0 : 1.0;
     }
     return t * seen / float(tap_count);
 }
