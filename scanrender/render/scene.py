@@ -212,6 +212,12 @@ class Scene:
             self._data_maps[name] = self._map(name)
         return self._data_maps[name]
 
+    @property
+    def baked_curvature_mm(self) -> float:
+        """Standard deviation of the smoothing in the asset's curvature map; 0 where none is stated."""
+        notes = [stage.get("notes", {}) for stage in self.asset.info.get("stages", [])]
+        return max((float(note.get("curvature_scale_mm") or 0.0) for note in notes), default=0.0)
+
     def _map(self, name: str) -> moderngl.Texture:
         pixels = self.asset.maps.get(name)
         if pixels is None:

@@ -34,8 +34,8 @@ def sheets(thickness_mm: float, claimed_mm: float | None = None, *more: Any) -> 
 def test_it_is_the_closed_form(gl: Device, thickness: float, shadow: bool):
     """T(0) = 1 in each channel; T(d) within 1e-3."""
     settings = pipeline(MATT, skin=BAKED, lights=[{**BEHIND, "shadow": shadow}])
-    made = render(gl, sheets(max(thickness, 0.05), thickness), settings, "transmittance", "thickness_mm",
-                  "transmission")  # fmt: skip
+    asset = sheets(max(thickness, 0.05), thickness)
+    made = render(gl, asset, settings, "transmittance", "thickness_mm", "transmission")
     np.testing.assert_allclose(made["thickness_mm"][MIDDLE], thickness, rtol=1e-3)
     found = made["transmittance"][MIDDLE].mean(axis=(0, 1))
     np.testing.assert_allclose(found, slab_transmittance(thickness, D_EON_SKIN), atol=1e-3)

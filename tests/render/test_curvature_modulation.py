@@ -103,6 +103,19 @@ def test_baked_and_screen_curvature_agree(gl: Device):
     np.testing.assert_allclose(screen, baked, rtol=0.15)
 
 
+def test_what_the_bake_has_smoothed_is_not_smoothed_again(gl: Device):
+    steps = (np.arange(64)[None, :, None] % 8 < 4).astype(np.float32) * 0.1
+    maps = {"albedo": flat_map(1, 1, 1), "curvature": np.repeat(steps, 64, axis=0)}
+    spread = {}
+    for done_mm in (0.0, 2.0):
+        info = {"stages": [{"name": "report", "notes": {"curvature_scale_mm": done_mm}}]}
+        settings = pipeline(MATT, curvature={"source": "baked", "smooth_mm": 2.0})
+        made = render(gl, Asset(plane(20.0).mesh, maps, info), settings, "curvature")
+        spread[done_mm] = float(made["curvature"][44:52, 30:66].std())
+    assert spread[2.0] > 0.03
+    assert spread[0.0] < 0.5 * spread[2.0]
+
+
 def high_frequency(curvature: npt.NDArray[np.floating], here: npt.NDArray[np.bool_]) -> float:
     """Energy of second differences along rows: what a smooth shape has little of."""
     second = curvature[:, 2:] - 2 * curvature[:, 1:-1] + curvature[:, :-2]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import moderngl
@@ -19,6 +20,13 @@ def passes(scene: Scene) -> list[Pass]:
     ]
 
 
+def _sigma_mm(scene: Scene) -> float:
+    """What is left to smooth: the bake has done its part, and variances add."""
+    curvature = scene.pipeline.curvature
+    done = scene.baked_curvature_mm if curvature.source == "baked" else 0.0
+    return math.sqrt(max(curvature.smooth_mm**2 - done**2, 0.0))
+
+
 def _direction(scene: Scene, source: str, written: str, direction: tuple[int, int]) -> Pass:
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
@@ -33,7 +41,7 @@ def _direction(scene: Scene, source: str, written: str, direction: tuple[int, in
                 "taps": taps,
                 "tap_count": taps.size[0],
                 "direction": direction,
-                "sigma_mm": scene.pipeline.curvature.smooth_mm,
+                "sigma_mm": _sigma_mm(scene),
                 "px_per_mm_at_1mm": shot.px_per_mm_at_1mm,
             },
         )
