@@ -214,7 +214,7 @@ class Scene:
 
     @property
     def baked_curvature_mm(self) -> float:
-        """Standard deviation of the smoothing in the asset's curvature map; 0 where none is stated."""
+        """Standard deviation of the smoothing in the asset's curvature map; 0 if not stated."""
         notes = [stage.get("notes", {}) for stage in self.asset.info.get("stages", [])]
         return max((float(note.get("curvature_scale_mm") or 0.0) for note in notes), default=0.0)
 

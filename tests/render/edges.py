@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from render.synthetic import MATT, WHITE, flat_map, joined, merged, pipeline, quad, turned
+from render.synthetic import MATT, WHITE, flat_map, joined, mesh, pipeline, quad, turned
 
 from scanrender.asset import Asset
 from scanrender.reference.analytic import half_lit_plane_seen
@@ -63,18 +63,28 @@ def lit_edge(
     edge_mm: float = 0.0,
     **changes: Any,
 ) -> Edge:
-    """A half-lit plane tilted about a screen axis, through the middle row (or column).
+    """A half-lit plane tilted about x, y or (1, 1, 0), through the middle row (or column).
 
     The picture itself is read, so that supersampling counts. Pixels near the plane's rim are left
     out, and one that the edge cuts, whose single sample is on one side or the other.
     """
-    turned_by = {"azimuth_deg": tilt_deg} if axis == "y" else {"elevation_deg": -tilt_deg}
-    lamp = {"type": "directional", "azimuth_deg": 0, "elevation_deg": 0, "shadow": False}
+    nx, ny, nz = _turn(tilt_deg, axis)[:, 2]
+    lamp = {"type": "directional", "azimuth_deg": float(np.rad2deg(np.arctan2(nx, nz))),
+            "elevation_deg": float(np.rad2deg(np.arcsin(ny))), "shadow": False}  # fmt: skip
     settings = pipeline(
-        MATT, CLOSE, {"diffusion": {"samples": 25}}, {"lights": [merged(lamp, turned_by)]},
+        MATT, CLOSE, {"diffusion": {"samples": 25}}, {"lights": [lamp]},
         *layers, changes,
     )  # fmt: skip
-    asset = turned(half_lit_asset(half_mm, vertical, edge_mm), tilt_deg, axis)
+    asset = half_lit_asset(half_mm, vertical, edge_mm)
+    if axis == "diagonal":
+        old, matrix = asset.mesh, _turn(tilt_deg, axis)
+        tangents = np.hstack([old.tangents[:, :3] @ matrix.T, old.tangents[:, 3:]])
+        asset = Asset(
+            mesh(old.positions_mm @ matrix.T, old.normals @ matrix.T, old.uv, old.faces, tangents),
+            asset.maps,
+        )
+    else:
+        asset = turned(asset, tilt_deg, axis)
     renderer = Renderer(gl, asset, settings)
     frame = renderer.render(renderer.view(0), ["position"])
     height, width = frame.alpha.shape
@@ -98,6 +108,10 @@ def lit_edge(
 
 def _turn(degrees: float, axis: str) -> Floats:
     c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    if axis == "diagonal":  # about (1, 1, 0): about x, between turns about z
+        h = np.sqrt(0.5)
+        z = np.array([[h, -h, 0], [h, h, 0], [0, 0, 1]])
+        return z @ _turn(degrees, "x") @ z.T
     if axis == "x":
         return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])

@@ -19,7 +19,6 @@ WITHIN = 0.01
 # Camera settings that look at the same plane from elsewhere; fill is by distance, so that 0.9 / k
 # puts the camera k times as far.
 FILL = 0.9
-BASE = {"camera": {"fill": FILL}}
 CAMERAS: dict[str, Any] = {
     **{f"distance x{k:g}": {"fill": FILL / k} for k in (0.25, 0.5, 2, 4, 8)},
     "fov 10": {"focal_mm": 137.0},
@@ -47,7 +46,7 @@ def test_it_is_a_sum_of_error_functions_in_every_halo_mode(gl: Device, vertical:
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
-@pytest.mark.parametrize("halo", HALOS)
+@pytest.mark.parametrize("halo", ["none", "cbf", "cbf_normalized"])  # `measure` is below
 def test_it_is_so_whatever_the_camera(gl: Device, camera: str, halo: str):
     edge = lit_edge(gl, camera=CAMERAS[camera], diffusion={"halo": halo})
     assert len(edge.x_mm) >= 12
@@ -61,14 +60,14 @@ def test_measure_knows_no_tilt(gl: Device, axis: str, vertical: bool, degrees: f
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
-@pytest.mark.parametrize("degrees", [30, 60])
+@pytest.mark.parametrize("degrees", [0, 30, 60])
 def test_measure_knows_no_tilt_whatever_the_camera(gl: Device, camera: str, degrees: float):
     edge = lit_edge(gl, tilt_deg=degrees, camera=CAMERAS[camera])
     assert len(edge.x_mm) >= 6
     assert edge.error < WITHIN
 
 
-@pytest.mark.parametrize(("axis", "vertical"), [("y", True), ("x", False)])
+@pytest.mark.parametrize(("axis", "vertical"), [("y", True), ("x", False), ("diagonal", True)])
 def test_without_the_measure_a_tilted_plane_is_wrong(
     gl: Device, axis: str, vertical: bool, capsys: pytest.CaptureFixture[str]
 ):
@@ -135,7 +134,7 @@ def test_the_kernel_grows_without_a_jump(gl: Device):
     """Over whole-pixel taps to bilinear ones: the first shadow pixel only ever gets brighter."""
     profile = [{"variance_mm2": 1.0, "weight": [1.0, 1.0, 1.0]}]
     found = []
-    for scale in np.geomspace(0.001, 1.0, 24):
+    for scale in np.geomspace(0.001, 1.0, 16):
         edge = lit_edge(gl, skin={"profile": profile, "scale": float(scale)})
         # One Gaussian straight from a hard edge shows single taps once they are a pixel apart.
         assert edge.error < (WITHIN if scale < 0.5 else 0.02)
@@ -145,7 +144,7 @@ def test_the_kernel_grows_without_a_jump(gl: Device):
     assert found[0] < 3e-3
     assert found[-1] > 0.4
     assert (steps > -1e-3).all()
-    assert steps.max() < 0.08
+    assert steps.max() < 0.12
 
 
 def test_red_bleeds_further_than_green_and_green_than_blue(gl: Device):

@@ -100,8 +100,8 @@ def crumpled() -> Asset:
 
 @pytest.mark.parametrize("halo", HALOS)
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("contrast", [10.0, 1e6])
-def test_no_pixel_is_black_or_not_a_number(gl: Device, halo: str, method: str, contrast: float):
+def test_no_pixel_is_black_or_not_a_number(gl: Device, halo: str, method: str):
+    contrast = 1e6 if halo == "cbf" else 10.0
     settings = pipeline(
         MATT, diffusion={"method": method, "halo": halo, "edge_contrast": contrast,
                          "limit": "lab", "samples": 16},
@@ -179,7 +179,7 @@ def test_skin_of_one_colour_leaks_by_depth_alone(gl: Device, capsys: pytest.Capt
 def test_scattering_across_a_shadow_s_edge_survives(gl: Device, halo: str):
     """On a gently curved cheek (a ball of 60 mm), away from any silhouette."""
     found = {mode: shadow_edge_on_ball(gl, mode) for mode in ("none", halo)}
-    assert found["none"] > 1.0
+    assert found["none"] > 100.0
     assert found[halo] >= 0.85 * found["none"]
 
 
@@ -201,7 +201,7 @@ def test_a_huge_contrast_stops_leaks_by_stopping_scattering(gl: Device):
 
 def shadow_edge_on_ball(gl: Device, halo: str, contrast: float = 10.0) -> float:
     """Light that crosses a hard edge on a ball of 60 mm, within 30 mm of its middle."""
-    ball = sphere_mesh(60.0, 96)
+    ball = sphere_mesh(60.0, 64)
     lit = ball.positions_mm[ball.faces].mean(axis=1)[:, 0] > 0
     # Vertices of their own for each side, so that the normal map's step is sharp.
     sides = []
@@ -219,7 +219,7 @@ def shadow_edge_on_ball(gl: Device, halo: str, contrast: float = 10.0) -> float:
     }
     settings = pipeline(
         MATT,
-        camera={"width_px": 240, "height_px": 240, "fill": 2.0},
+        camera={"width_px": 150, "height_px": 150, "fill": 2.0},
         diffusion={"halo": halo, "samples": 25, "edge_contrast": contrast},
     )
     made = render(gl, Asset(joined(sides), maps), settings, "diffuse", "diffusion_input",
