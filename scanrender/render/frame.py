@@ -17,6 +17,7 @@ from scanrender.render.camera import Camera, frame_subject
 from scanrender.render.device import Device, bind
 from scanrender.render.graph import Graph, TexturePool
 from scanrender.render.passes import all_passes
+from scanrender.render.passes._scatter import largest_width_factor
 from scanrender.render.plan import Decision, plan
 from scanrender.render.samples import sample_offsets_px
 from scanrender.render.scene import Scene, Shot
@@ -39,7 +40,7 @@ class Renderer:
 
     def __init__(self, device: Device, asset: Asset, pipeline: Pipeline) -> None:
         self.device = device
-        self.pipeline, self.decisions = plan(pipeline)
+        self.pipeline, self.decisions = plan(pipeline, asset.maps)
         self.scene = Scene(device, asset, self.pipeline)
         self.graph = Graph(all_passes(self.scene))
         self.pool = TexturePool(device)
@@ -144,6 +145,7 @@ class Renderer:
         if self.pipeline.diffusion.method == "none":
             return 0
         reach = self.camera.px_per_mm(self.camera.near_mm) * float(self.scene.reach_mm.max())
+        reach *= largest_width_factor(self.scene)
         limit = min(self.camera.size_px) // 2
         if reach > limit:
             reason = f"the profile reaches {reach:.0f} px; the guard band stops at {limit} px"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,14 +17,14 @@ from scanrender.optics.profiles.gaussians import D_EON_SKIN, GaussianSum
 from scanrender.optics.surface import SpecularLobes
 from scanrender.render.camera import Camera, Matrix, rotation_y
 from scanrender.render.device import Device
-from scanrender.render.lamps import resolve_lights
+from scanrender.render.lamps import Lamp, resolve_lights
 from scanrender.render.view import TABLE_SIZE, view_table
 from scanrender.settings.pipeline import Pipeline
 from scanrender.settings.skin import SkinSettings
 
 RHO_TABLE_SIZE = 64
-# What a scan without a map gets: (components, value). Thickness has no neutral value and no pass
-# reads it yet.
+SEPARABLE = ("separable_preintegrated", "separable_artistic")
+# What a scan without a map gets. Thickness has no neutral value: plan.py sees to it.
 NEUTRAL_MAPS = {
     "albedo": (0.5, 0.5, 0.5),
     "normal_ts": (0.0, 0.0, 1.0),
@@ -38,7 +39,7 @@ class Shot:
 
     `size` is (width, height) in px with the guard band; `scissor` the (x, y, w, h) in GL's
     bottom-up pixels that the subject can touch; `near_mm` the least depth it can have. `sample`
-    numbers the supersample.
+    numbers the supersample, whose place in the pixel is `jitter_px` (right, down).
     """
 
     size: tuple[int, int]
@@ -50,6 +51,7 @@ class Shot:
     working_distance_mm: float
     sample: int
     guard_px: int
+    jitter_px: tuple[float, float] = (0.0, 0.0)
 
     @property
     def view_from_object(self) -> Matrix:
@@ -73,11 +75,14 @@ class Scene:
         self.profile = profile_of(pipeline.skin)
         self.albedo_power = {"pre": 1.0, "mixed": 0.5, "post": 0.0}[pipeline.skin.texturing]
         # Radius of 99.9 % of the profile per channel: guard band, culling, kernel_px.
-        self.reach_mm = np.asarray(self.profile.radius_for(0.999), dtype=np.float64)
+        self.scattering = scattering_of(pipeline, self.profile)
+        self.reach_mm = np.asarray(self.scattering.radius_for(0.999), dtype=np.float64)
         scatters = pipeline.diffusion.method != "none"
         self.uses_skin_map = scatters and pipeline.diffusion.mask == "skin" and "skin" in asset.maps
         self._index = device.context.buffer(asset.mesh.faces.astype(np.uint32).tobytes())
         self._vertices = device.context.buffer(_interleaved(asset).tobytes())
+        self._tap_blocks: dict[int, moderngl.Buffer] = {}
+        self._data_maps: dict[str, moderngl.Texture] = {}
         self._arrays: dict[str, moderngl.VertexArray] = {}
 
     def draw_mesh(self, program: moderngl.Program) -> None:
@@ -104,6 +109,12 @@ class Scene:
         array = np.zeros((size, 2), dtype=np.float32)
         array[:count] = np.stack([taps.offsets_sigma, taps.weights], axis=1)
         return array.tobytes()
+
+    def tap_block(self, count: int, make: Callable[[Scene, int], bytes]) -> moderngl.Buffer:
+        """The uniform block of a kernel with `count` taps, made once by `make(scene, count)`."""
+        if count not in self._tap_blocks:
+            self._tap_blocks[count] = self.device.context.buffer(make(self, count))
+        return self._tap_blocks[count]
 
     @cached_property
     def smoothing_taps(self) -> moderngl.Texture:
@@ -171,22 +182,46 @@ class Scene:
             clip_from_view @ view_from_world @ world_from_object,
             (width, height),
         )
+        toward = (view_from_world @ world_from_object)[2]
+        nearest = -float((self.asset.mesh.positions_mm @ toward[:3]).max() + toward[3])
         return Shot(
             (width, height),
             scissor,
             view_from_world,
             world_from_object,
             clip_from_view,
-            camera.near_mm,
+            max(nearest, camera.near_mm),
             camera.distance_mm,
             sample,
             guard_px,
+            jitter_px,
         )
+
+    @property
+    def transmitting_lamps(self) -> list[Lamp]:
+        """The lamps whose light may cross thin skin."""
+        method = self.pipeline.skin.transmission.method
+        if method == "none":
+            return []
+        lamps = [lamp for lamp in self.lamps if np.any(lamp.irradiance)]
+        return [lamp for lamp in lamps if method == "baked" or lamp.settings.shadow]
+
+    def data_map(self, name: str) -> moderngl.Texture:
+        """`curvature` or `thickness_mm`, uploaded when a pass first asks; 0 where it is missing."""
+        if name not in self._data_maps:
+            self._data_maps[name] = self._map(name)
+        return self._data_maps[name]
+
+    @property
+    def baked_curvature_mm(self) -> float:
+        """Standard deviation of the smoothing in the asset's curvature map; 0 if not stated."""
+        notes = [stage.get("notes", {}) for stage in self.asset.info.get("stages", [])]
+        return max((float(note.get("curvature_scale_mm") or 0.0) for note in notes), default=0.0)
 
     def _map(self, name: str) -> moderngl.Texture:
         pixels = self.asset.maps.get(name)
         if pixels is None:
-            return self.device.table(np.array(NEUTRAL_MAPS[name]).reshape(1, 1, -1))
+            return self.device.table(np.array(NEUTRAL_MAPS.get(name, (0.0,))).reshape(1, 1, -1))
         height, width, components = pixels.shape
         # Half floats hold 8-bit sRGB and unit normals to better than their own step.
         data = np.ascontiguousarray(pixels, dtype=np.float16)
@@ -212,6 +247,28 @@ def profile_of(skin: SkinSettings) -> GaussianSum:
         )
     narrowest = MIN_LENGTH_MM * 1.001 / float(np.sqrt(profile.variances_mm2[0]))
     return profile.scaled(max(skin.scale, narrowest)) if skin.scale != 1.0 else profile
+
+
+def scattering_of(pipeline: Pipeline, profile: GaussianSum) -> GaussianSum:
+    """The profile that the method spreads light by: the skin's, or the artistic kernel's."""
+    if pipeline.diffusion.method != "separable_artistic":
+        return profile
+    share = pipeline.diffusion.artistic.strength
+    weights: dict[float, list[float]] = {}
+    for sigmas, shares in zip(
+        artistic_sigmas_mm(pipeline), (share, [1.0 - w for w in share]), strict=True
+    ):
+        for c in range(3):
+            weights.setdefault(float(sigmas[c] ** 2), [0.0, 0.0, 0.0])[c] += shares[c]
+    variances = sorted(weights)
+    return GaussianSum.normalized(variances, [weights[v] for v in variances])
+
+
+def artistic_sigmas_mm(pipeline: Pipeline) -> npt.NDArray[np.float64]:
+    """(near and far, 3) standard deviations of the artistic kernel, scaled."""
+    artistic = pipeline.diffusion.artistic
+    sigmas = np.array([artistic.near_mm, artistic.far_mm]) * pipeline.skin.scale
+    return np.maximum(sigmas, 10.0 * MIN_LENGTH_MM)
 
 
 def _interleaved(asset: Asset) -> npt.NDArray[np.float32]:
