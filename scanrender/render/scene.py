@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -56,9 +57,21 @@ class Shot:
         return self.view_from_world @ self.world_from_object
 
     @property
-    def px_per_mm_at_1mm(self) -> float:
-        """0.5 H P11: divide by depth in mm for pixels per millimetre (square pixels)."""
-        return float(0.5 * self.size[1] * self.clip_from_view[1, 1])
+    def is_orthographic(self) -> bool:
+        return bool(self.clip_from_view[3, 2] == 0.0)
+
+    def px_per_mm(self, depth_mm: float) -> float:
+        """Pixels per millimetre at a depth: 0.5 H P11 / z, without /z when orthographic."""
+        scale = float(0.5 * self.size[1] * self.clip_from_view[1, 1])
+        return scale if self.is_orthographic else scale / depth_mm
+
+    @property
+    def screen_uniforms(self) -> dict[str, Any]:
+        """What `screen.glsl` takes."""
+        return {
+            "px_per_mm_at_1mm": self.px_per_mm(1.0),
+            "is_orthographic": self.is_orthographic,
+        }
 
 
 class Scene:

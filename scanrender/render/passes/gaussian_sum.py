@@ -51,7 +51,7 @@ def _direction(
     ) -> None:
         program = scene.device.program("gaussian_sum")
         texture = inputs[source]
-        sigma_px = sigma_mm * shot.px_per_mm_at_1mm / shot.near_mm
+        sigma_px = sigma_mm * shot.px_per_mm(shot.near_mm)
         tap_count = taps_for(diffusion.samples, sigma_px)
         taps = scene.gaussian_taps(tap_count, MAX_TAPS)
         bind(
@@ -63,7 +63,7 @@ def _direction(
                 "tap_count": tap_count,
                 "direction": direction,
                 "sigma_mm": sigma_mm,
-                "px_per_mm_at_1mm": shot.px_per_mm_at_1mm,
+                **shot.screen_uniforms,
                 "halo": HALO[diffusion.halo],
             },
         )

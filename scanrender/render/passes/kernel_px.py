@@ -21,7 +21,7 @@ def passes(scene: Scene) -> list[Pass]:
             {
                 "position": inputs["position"],
                 "radius_mm": scene.reach_mm,
-                "px_per_mm_at_1mm": shot.px_per_mm_at_1mm,
+                **shot.screen_uniforms,
             },
         )
         scene.device.fill(program)

@@ -22,7 +22,8 @@ def passes(scene: Scene) -> list[Pass]:
     ) -> None:
         device = scene.device
         program = device.program("specular")
-        common = {**_material(scene), **{name: inputs[name] for name in SURFACE}}
+        common = {**_material(scene), **shot.screen_uniforms}
+        common |= {name: inputs[name] for name in SURFACE}
         ambient = {"is_ambient": True, "ambient": scene.ambient, "visibility": scene.white}
         bind(program, {**common, **ambient})
         device.fill(program)

@@ -3,7 +3,7 @@
 //   source (diffusion_input or gaussian_{k-1}) + depth_mm -> gaussian_k (RGB premultiplied, a mask)
 // Progressive: G(v1) * G(v2) = G(v1 + v2), so level k blurs level k-1 by v_k - v_{k-1}
 // (d'Eon & Luebke 2007; Jimenez & Gutierrez 2010 in screen space).
-// Radius on screen: px = mm 0.5 H P11 / z: independent of distance, field of view, aspect and
+// Radius on screen: px = mm 0.5 H P11 / z (screen.glsl): independent of distance, field of view, aspect and
 // resolution. Below 0.7 px the three-tap kernel [v/2, 1-v, v/2] has exactly the variance wanted and
 // tends to the identity; above it the bilinear fetch's own variance of 1/6 px^2 is taken off.
 // Across a depth step dz a tap counts exp(-dz^2 / 2v), the Gaussian's own third dimension, so there
@@ -11,13 +11,13 @@
 // halo = measure: it is lost to the normalization (with diffusion_input's jacobian, a mean over the
 // surface: exact on planes tilted about a screen axis; Mikkelsen 2010).
 // Check alone: constant irradiance stays constant; gaussian_k is softer than gaussian_{k-1}.
+#include "screen.glsl"
 uniform sampler2D source;
 uniform sampler2D depth_mm;      // -z, 0 where there is no surface
 uniform vec2 taps[255];          // (offset in sigma, weight); the first tap_count weights sum to 1
 uniform int tap_count;
 uniform vec2 direction;          // (1,0) or (0,1)
 uniform float sigma_mm;          // of this increment
-uniform float px_per_mm_at_1mm;
 uniform int halo;                // 0 none, 1 depth, 2 measure
 
 layout(location = 0) out vec4 blurred;
@@ -42,7 +42,7 @@ void main() {
     centre_z = texelFetch(depth_mm, here, 0).r;
     if (centre_z <= 0.0) { blurred = vec4(0.0); return; }
     inverse_two_v = 0.5 / max(sigma_mm * sigma_mm, 1e-12);
-    float sigma_px = sigma_mm * px_per_mm_at_1mm / max(centre_z, 1e-6);
+    float sigma_px = sigma_mm * px_per_mm(centre_z);
     float v_px = sigma_px * sigma_px;
 
     vec4 sum = vec4(0.0);

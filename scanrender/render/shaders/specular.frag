@@ -6,6 +6,7 @@
 // Check alone: highlights as sharp as the normal map; none in shadow.
 #include "common.glsl"
 #include "light.glsl"
+#include "screen.glsl"
 uniform sampler2D position;
 uniform sampler2D normal_shading;
 uniform sampler2D ao;
@@ -34,7 +35,7 @@ void main() {
     specular = vec4(0.0);
     if (p.a == 0.0) return;
     vec3 n = texelFetch(normal_shading, here, 0).xyz;
-    vec3 v = -normalize(p.xyz);
+    vec3 v = direction_to_eye(p.xyz);
     if (is_ambient) {
         float cosine = clamp(dot(n, v), 0.0, 1.0);
         float open = texelFetch(ao, here, 0).r;
