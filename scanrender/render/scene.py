@@ -19,6 +19,7 @@ from scanrender.render.camera import Camera, Matrix, rotation_y
 from scanrender.render.device import Device
 from scanrender.render.lamps import resolve_lights
 from scanrender.render.view import TABLE_SIZE, view_table
+from scanrender.settings.light import Follows
 from scanrender.settings.pipeline import Pipeline
 from scanrender.settings.skin import SkinSettings
 
@@ -55,6 +56,15 @@ class Shot:
     @property
     def view_from_object(self) -> Matrix:
         return self.view_from_world @ self.world_from_object
+
+    def rig_from_world(self, follows: Follows) -> Matrix:
+        """Axes that a light is fixed to, around the subject's centre."""
+        if follows == "subject":
+            return np.asarray(np.linalg.inv(self.world_from_object))
+        turn = np.eye(4)
+        if follows == "camera":
+            turn[:3, :3] = self.view_from_world[:3, :3]
+        return turn
 
     @property
     def is_orthographic(self) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
 from scanrender.render.lamps import Lamp
-from scanrender.render.passes._lamp import light_uniforms, shadow_uniforms
+from scanrender.render.passes._lamp import shadow_uniforms
 from scanrender.render.scene import Scene, Shot
 
 # Taps that average T(d), a pixel, lamp and supersample.
@@ -73,7 +73,6 @@ def _lamp_uniforms(
     scene: Scene, lamp: Lamp, shot: Shot, inputs: Mapping[str, moderngl.Texture]
 ) -> dict[str, Any]:
     return {
-        **light_uniforms(lamp, shot),
         **shadow_uniforms(lamp, shot, inputs[f"shadow_{lamp.index}"]),
         "far_mm": 2.0 * scene.radius_mm,
     }

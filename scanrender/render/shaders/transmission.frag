@@ -45,9 +45,8 @@ void main() {
     vec3 l = direction_to_light(p.xyz);
     float back = max(0.0, wrap - dot(l, n));
     if (back == 0.0) return;  // the lit face: nothing to cross
-    LightPoint inside = light_point(p.xyz - n * bias_mm);
-    // Taps beside the point meet its own tilted plane: its depth there, not the point's, counts.
-    vec2 slope = plane_slope(n);
+    LightPoint inside = light_point(p.xyz - n * bias_mm, n);
+    if (!inside.in_map) return;  // no map tells how thick it is there
 
     bool away = dot(l, n) < 0.0;
     // The receiver was moved toward the light; the light still has to cross that much more.
@@ -56,12 +55,13 @@ void main() {
     float thickness = 0.0;
     for (int i = 0; i < tap_count; ++i) {
         vec2 offset = disk_point(i, tap_count, turn) * max(blur_mm, texel_mm);
-        float entry = texture(shadow_map, inside.uv + offset / inside.mm_per_uv).r;
+        float entry = first_depth(inside, offset);
         // Away from the light, a tap that enters deeper than the point itself (or nowhere) tells of
         // no path through skin: it counts as thick. On the lit side it is the lit face, 0 thick.
-        float exit = inside.depth_mm + dot(slope, offset);
+        // Taps beside the point meet its own tilted plane: its depth there counts.
+        float exit = plane_depth(inside, offset);
         bool no_path = away && entry > exit + bias_mm;
-        float d = no_path ? far_mm : max(0.0, exit - entry) + buried;
+        float d = no_path ? far_mm : max(0.0, exit - entry) * inside.way_per_depth + buried;
         thickness += d;
         // Fading in over one more bias keeps the terminator smooth when `wrap` lights it.
         t += d >= opaque_mm ? vec3(0.0) : smoothstep(bias_mm, 2.0 * bias_mm, d) * transmittance_at(d);
