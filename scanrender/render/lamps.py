@@ -85,13 +85,16 @@ class Lamp:
 
 
 def resolve_lights(lights: Sequence[Light], radius_mm: float) -> tuple[list[Lamp], Vector]:
-    """Lamps around a subject inside `radius_mm` of the origin, and the ambient RGB sum."""
+    """Lamps around a subject inside `radius_mm` of the origin, and the ambient RGB sum.
+
+    Environments are no lamps: `render/environment.py` has them.
+    """
     lamps: list[Lamp] = []
     ambient = np.zeros(3)
     for light in lights:
         if isinstance(light, AmbientLight):
             ambient += light.irradiance * np.asarray(light.colour)
-        else:
+        elif isinstance(light, LampSettings):
             lamps.append(_lamp(light, len(lamps), radius_mm))
     return lamps, ambient
 

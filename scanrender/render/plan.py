@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scanrender.settings.light import AmbientLight
+from scanrender.settings.light import EnvironmentLight, LampSettings
 from scanrender.settings.pipeline import Pipeline
 
 
@@ -25,12 +25,13 @@ def plan(pipeline: Pipeline) -> tuple[Pipeline, list[Decision]]:
     decisions: list[Decision] = []
     lights = []
     for index, light in enumerate(pipeline.lights):
-        if light.irradiance == 0.0 or not any(light.colour):
+        strength = light.intensity if isinstance(light, EnvironmentLight) else light.irradiance
+        if strength == 0.0 or not any(light.colour):
             decisions.append(Decision(f"lights.{index}", "it is black"))
         else:
             lights.append(light)
     updates: dict[str, object] = {"lights": tuple(lights)}
-    lamps = [light for light in lights if not isinstance(light, AmbientLight)]
+    lamps = [light for light in lights if isinstance(light, LampSettings)]
     skin = pipeline.skin
     if skin.transmission.method != "none" and not any(lamp.shadow for lamp in lamps):
         reason = "no light casts a shadow, so nothing tells how thick the skin is"

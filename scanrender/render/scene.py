@@ -14,16 +14,18 @@ from scanrender.asset import Asset
 from scanrender.optics.kernels import gaussian_taps
 from scanrender.optics.profiles._checks import MIN_LENGTH_MM
 from scanrender.optics.profiles.gaussians import D_EON_SKIN, GaussianSum
-from scanrender.optics.surface import SpecularLobes
+from scanrender.optics.surface import SpecularLobes, rho_dt
 from scanrender.render.camera import Camera, Matrix, rotation_y
 from scanrender.render.device import Device
+from scanrender.render.environment import Environment
 from scanrender.render.lamps import resolve_lights
 from scanrender.render.view import TABLE_SIZE, view_table
-from scanrender.settings.light import Follows
+from scanrender.settings.light import EnvironmentLight, Follows
 from scanrender.settings.pipeline import Pipeline
 from scanrender.settings.skin import SkinSettings
 
 RHO_TABLE_SIZE = 64
+RHO_COSINES = (np.arange(RHO_TABLE_SIZE) + 0.5) / RHO_TABLE_SIZE
 # What a scan without a map gets: (components, value). Thickness has no neutral value and no pass
 # reads it yet.
 NEUTRAL_MAPS = {
@@ -144,10 +146,30 @@ class Scene:
         )
 
     @cached_property
+    def environments(self) -> list[Environment]:
+        """Environment lights, prefiltered for this material."""
+        found = [light for light in self.pipeline.lights if isinstance(light, EnvironmentLight)]
+        return [
+            Environment(self.device, light, self._lobes, RHO_COSINES, self._rho) for light in found
+        ]
+
+    @cached_property
+    def lobe_albedo(self) -> moderngl.Texture:
+        """Row over cos theta: what each lobe reflects with its share; they sum to
+        `directional_albedo`.
+        """
+        lobes = self._lobes
+        parts = np.stack([
+            lobes.mix * rho_dt(RHO_COSINES, lobes.m_first, lobes.f0),
+            (1.0 - lobes.mix) * rho_dt(RHO_COSINES, lobes.m_second, lobes.f0),
+        ], axis=-1)  # fmt: skip
+        total = np.maximum(parts.sum(axis=-1, keepdims=True), 1e-12)
+        return self.device.table((parts / total * self._rho[:, None])[None], linear=True)
+
+    @cached_property
     def _rho(self) -> npt.NDArray[np.float64]:
-        cosines = (np.arange(RHO_TABLE_SIZE) + 0.5) / RHO_TABLE_SIZE
         strength = self.pipeline.skin.specular.strength
-        return np.clip(strength * self._lobes.directional_albedo(cosines), 0.0, 1.0)
+        return np.clip(strength * self._lobes.directional_albedo(RHO_COSINES), 0.0, 1.0)
 
     @cached_property
     def directional_albedo(self) -> moderngl.Texture:
@@ -157,8 +179,7 @@ class Scene:
     @cached_property
     def mean_directional_albedo(self) -> float:
         """Cosine-weighted mean of `directional_albedo`: for light that comes from everywhere."""
-        cosines = (np.arange(RHO_TABLE_SIZE) + 0.5) / RHO_TABLE_SIZE
-        return float(np.average(self._rho, weights=cosines))
+        return float(np.average(self._rho, weights=RHO_COSINES))
 
     @cached_property
     def view_table(self) -> moderngl.Texture3D:

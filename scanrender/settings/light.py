@@ -112,7 +112,34 @@ class AmbientLight(Section):
     colour: Rgb = setting((1.0, 1.0, 1.0), "Multiplies the irradiance (linear Rec.709).", unit="1")
 
 
+BUILT_IN_SKIES = ("studio", "sky", "dome")
+
+
+class EnvironmentLight(Section):
+    """Light from all around: a picture of the surroundings, or one of our own skies.
+
+    Its diffuse light is dimmed by ambient occlusion, its reflection by an estimate from it. It
+    casts no shadow and shines through no ear: put a lamp where its sun is.
+    """
+
+    type: Literal["environment"] = "environment"
+    map: str = setting(
+        "studio",
+        "`studio`, `sky` or `dome`, which give a surface that faces the front the irradiance 1; or "
+        "a latitude-longitude picture (.exr, .hdr; linear Rec.709) in this file's folder. Its "
+        "middle comes from the front.",
+        unit="",
+    )
+    rotation_deg: float = setting(
+        0.0, "Turns the surroundings toward the subject's own left.", unit="deg", ge=-360, le=360
+    )
+    follows: Follows = setting("world", FOLLOWS, unit="")
+    intensity: float = setting(1.0, "Multiplies the picture.", unit="1", ge=0, le=1e9)
+    colour: Rgb = setting((1.0, 1.0, 1.0), "Multiplies it too (linear Rec.709).", unit="1")
+
+
 LampSettings = DirectionalLight | PointLight | SpotLight
 Light = Annotated[
-    DirectionalLight | PointLight | SpotLight | AmbientLight, Field(discriminator="type")
+    DirectionalLight | PointLight | SpotLight | AmbientLight | EnvironmentLight,
+    Field(discriminator="type"),
 ]

@@ -111,7 +111,7 @@ def lit(gl: Device, mode: str, follows: str, index: int, kind: str = "directiona
 def test_a_light_stays_where_it_is_fixed(gl: Device, kind: str):
     """The picture of a ball shows the light's place from the camera, and nothing else."""
     start = lit(gl, "subject", "world", 0, kind)
-    same = dict(atol=2e-3)
+    same = {"atol": 2e-3}
     for index in (1, 3):
         np.testing.assert_allclose(lit(gl, "subject", "world", index, kind), start, **same)
         turned = lit(gl, "camera", "world", index, kind)
@@ -154,8 +154,9 @@ def test_lamps_anywhere_give_finite_light(gl, kind, direction, distance, radius,
     if any(direction):
         lamp["position_mm"] = position
     gloss = {"skin": {"specular": {"strength": 1.0}}}
-    renderer = Renderer(gl, sphere(12.0, rings=8), pipeline(MATT, gloss, THROUGH,
-                        lights=[lamp, AMBIENT], camera={"width_px": 24, "height_px": 24}))  # fmt: skip
+    small = {"width_px": 24, "height_px": 24}
+    chosen = pipeline(MATT, gloss, THROUGH, lights=[lamp, AMBIENT], camera=small)
+    renderer = Renderer(gl, sphere(12.0, rings=8), chosen)
     names = [n for n in renderer.buffer_names if not n.startswith("gaussian")]
     for name, pixels in renderer.render(renderer.view(0), names).buffers.items():
         assert np.isfinite(pixels).all(), name

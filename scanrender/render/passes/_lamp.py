@@ -1,4 +1,4 @@
-"""Uniforms that every pass over a lamp shares (`light.glsl`, `shadow_lookup.glsl`)."""
+"""Uniforms that passes over lights share (`light`, `shadow_lookup`, `environment.glsl`)."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ import moderngl
 import numpy as np
 
 from scanrender.optics.kernels import GOLDEN_ANGLE_RAD
+from scanrender.render.environment import Environment
 from scanrender.render.lamps import Lamp
 from scanrender.render.scene import Shot
 
+# What one draw adds, in `irradiance.frag` and `specular.frag`.
+AMBIENT, LAMP, ENVIRONMENT = 0, 1, 2
 # Taps that soften a shadow's edge, a pixel and supersample.
 DISK_TAPS = 16
 
@@ -43,3 +46,11 @@ def shadow_uniforms(lamp: Lamp, shot: Shot, shadow_map: moderngl.Texture) -> dic
         # Each supersample turns the disk, so that their average has many more taps than one.
         "turn": float(shot.sample * GOLDEN_ANGLE_RAD / DISK_TAPS),
     }
+
+
+def environment_uniforms(environment: Environment, shot: Shot) -> dict[str, Any]:
+    """`environment.glsl`: how the picture stands in view space."""
+    rig_from_world = shot.rig_from_world(environment.settings.follows)
+    picture_from_world = environment.picture_from_rig @ rig_from_world
+    picture_from_view = picture_from_world @ np.linalg.inv(shot.view_from_world)
+    return {"picture_from_view": np.asarray(picture_from_view[:3, :3])}

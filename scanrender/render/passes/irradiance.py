@@ -1,4 +1,4 @@
-"""irradiance: light that enters the skin, albedo-free, summed over ambient and lamps."""
+"""irradiance: light that enters the skin, albedo-free, summed over all lights."""
 
 from __future__ import annotations
 
@@ -9,7 +9,13 @@ import numpy as np
 
 from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
-from scanrender.render.passes._lamp import light_uniforms
+from scanrender.render.passes._lamp import (
+    AMBIENT,
+    ENVIRONMENT,
+    LAMP,
+    environment_uniforms,
+    light_uniforms,
+)
 from scanrender.render.scene import Scene, Shot
 
 
@@ -28,15 +34,25 @@ def passes(scene: Scene) -> list[Pass]:
             "directional_albedo": scene.directional_albedo,
         }
         ambient = {
-            "is_ambient": True,
+            "kind": AMBIENT,
             "ambient": scene.ambient,
             "mean_directional_albedo": scene.mean_directional_albedo,
             "visibility": scene.white,
+            "irradiance_map": scene.white,
         }
         bind(program, {**common, **ambient})
         device.fill(program)
         device.context.enable(moderngl.BLEND)
         device.context.blend_func = moderngl.ONE, moderngl.ONE
+        for environment in scene.environments:
+            around = {
+                **environment_uniforms(environment, shot),
+                "kind": ENVIRONMENT,
+                "irradiance_map": environment.irradiance,
+                "visibility": scene.white,
+            }
+            bind(program, {**common, **around})
+            device.fill(program)
         for lamp in scene.lamps:
             if not np.any(lamp.irradiance):
                 continue
@@ -44,7 +60,7 @@ def passes(scene: Scene) -> list[Pass]:
             uniforms = {
                 **common,
                 **light_uniforms(lamp, shot),
-                "is_ambient": False,
+                "kind": LAMP,
                 "has_shadow": has_shadow,
                 "visibility": inputs[f"visibility_{lamp.index}"] if has_shadow else scene.white,
             }

@@ -1,4 +1,4 @@
-"""specular: reflection at the skin's surface, summed over ambient and lamps; never blurred."""
+"""specular: reflection at the skin's surface, summed over all lights; never blurred."""
 
 from __future__ import annotations
 
@@ -10,7 +10,13 @@ import numpy as np
 
 from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
-from scanrender.render.passes._lamp import light_uniforms
+from scanrender.render.passes._lamp import (
+    AMBIENT,
+    ENVIRONMENT,
+    LAMP,
+    environment_uniforms,
+    light_uniforms,
+)
 from scanrender.render.scene import Scene, Shot
 
 
@@ -24,11 +30,21 @@ def passes(scene: Scene) -> list[Pass]:
         program = device.program("specular")
         common = {**_material(scene), **shot.screen_uniforms}
         common |= {name: inputs[name] for name in SURFACE}
-        ambient = {"is_ambient": True, "ambient": scene.ambient, "visibility": scene.white}
+        ambient = {"kind": AMBIENT, "ambient": scene.ambient, "visibility": scene.white}
         bind(program, {**common, **ambient})
         device.fill(program)
         device.context.enable(moderngl.BLEND)
         device.context.blend_func = moderngl.ONE, moderngl.ONE
+        for environment in scene.environments:
+            around = {
+                **environment_uniforms(environment, shot),
+                "kind": ENVIRONMENT,
+                "lobe_map_0": environment.lobes[0],
+                "lobe_map_1": environment.lobes[1],
+                "visibility": scene.white,
+            }
+            bind(program, {**common, **around})
+            device.fill(program)
         for lamp in scene.lamps:
             if not np.any(lamp.irradiance):
                 continue
@@ -36,7 +52,7 @@ def passes(scene: Scene) -> list[Pass]:
             uniforms = {
                 **common,
                 **light_uniforms(lamp, shot),
-                "is_ambient": False,
+                "kind": LAMP,
                 "has_shadow": has_shadow,
                 "visibility": inputs[f"visibility_{lamp.index}"] if has_shadow else scene.white,
             }
@@ -46,13 +62,14 @@ def passes(scene: Scene) -> list[Pass]:
     return [Pass("specular", (*SURFACE, *shadowed), (Buffer("specular"),), draw)]
 
 
-SURFACE = ("position", "normal_shading", "ao")
+SURFACE = ("position", "normal_geometry", "normal_shading", "ao")
 
 
 def _material(scene: Scene) -> dict[str, Any]:
     specular = scene.pipeline.skin.specular
     return {
         "directional_albedo": scene.directional_albedo,
+        "lobe_albedo": scene.lobe_albedo,
         "f0": specular.f0,
         "roughness": tuple(np.clip(specular.roughness, 0.01, 1.0)),
         "second_lobe": specular.second_lobe,
