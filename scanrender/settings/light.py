@@ -11,7 +11,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from scanrender.settings.base import Rgb, Section, Vector3, setting
+from scanrender.settings.base import Rgb, Section, setting
 
 Follows = Literal["world", "subject", "camera"]
 FOLLOWS = (
@@ -57,11 +57,14 @@ class DirectionalLight(_Lamp):
     )
 
 
+Coordinate = Annotated[float, Field(ge=-1e7, le=1e7)]
+
+
 class _NearLamp(_Lamp):
     distance_mm: float = setting(
         1200.0, "From the subject's centre to the lamp.", unit="mm", ge=1, le=1e7
     )
-    position_mm: Vector3 | None = setting(
+    position_mm: tuple[Coordinate, Coordinate, Coordinate] | None = setting(
         None,
         "Where it stands from the subject's centre (+X its left, +Y up, +Z front); replaces "
         "azimuth, elevation and distance.",

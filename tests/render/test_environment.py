@@ -9,7 +9,17 @@ import numpy as np
 import numpy.typing as npt
 import OpenImageIO as oiio  # noqa: N813
 import pytest
-from render.synthetic import AMBIENT, MATT, flat_map, merged, pipeline, plane, render, sphere
+from render.synthetic import (
+    AMBIENT,
+    MATT,
+    flat_map,
+    merged,
+    pipeline,
+    plane,
+    render,
+    sphere,
+    turned,
+)
 
 from scanrender.asset import Asset
 from scanrender.errors import ConfigError
@@ -130,17 +140,20 @@ def test_there_is_no_seam_behind_and_no_hole_above(gl: Device):
         assert max(steps) < 0.03, camera
 
 
-def test_occlusion_dims_both_and_leaves_nothing_where_nothing_is_open(gl: Device):
-    asset = plane(10.0)
+@pytest.mark.parametrize(("tilt", "hides_mirror"), [(0.0, False), (65.0, True)])
+def test_occlusion_dims_light_and_hides_low_reflections_first(
+    gl: Device, tilt: float, hides_mirror: bool
+):
+    asset = turned(plane(10.0), tilt, "y")
     seen = {}
     for open_share in (1.0, 0.5, 0.0):
         dimmed = Asset(asset.mesh, {**asset.maps, "ao": flat_map(open_share)})
         made = render(gl, dimmed, pipeline(merged(MATT, GLOSSY), lights=[
-            {"type": "environment"}]), *NAMES)  # fmt: skip
+            {"type": "environment", "map": "dome"}]), *NAMES)  # fmt: skip
         seen[open_share] = made["irradiance"][48, 48, 1], made["specular"][48, 48, 1]
-    for part in (0, 1):
-        assert seen[1.0][part] > seen[0.5][part] > seen[0.0][part] == 0.0
     assert seen[0.5][0] == pytest.approx(0.5 * seen[1.0][0], rel=1e-3)
+    assert seen[0.0] == (0.0, 0.0)
+    assert (seen[0.5][1] < 0.6 * seen[1.0][1]) == hides_mirror
 
 
 @pytest.mark.parametrize("name", BUILT_IN_SKIES)

@@ -34,9 +34,23 @@ float beckmann_pi(float cosine, float m) {
     return exp((c2 - 1.0) / (c2 * m2)) / (m2 * c2 * c2);
 }
 
-// Lagarde & de Rousiers 2014: how much of a lobe the same surroundings hide that hide the sky.
-float specular_occlusion(float cosine, float open, float m) {
-    return clamp(pow(cosine + open, exp2(-16.0 * m - 1.0)) - 1.0 + open, 0.0, 1.0);
+// Share of a cone of half angle `lobe` that lies in the cone `open` around the normal, `apart` from
+// its axis (Oat & Sander 2007), all in radians.
+float cone_overlap(float open, float lobe, float apart) {
+    float inner = abs(open - lobe);
+    float t = 1.0 - clamp((apart - inner) / max(open + lobe - inner, 1e-4), 0.0, 1.0);
+    float whole = 1.0 - cos(min(open, lobe));
+    return whole * t * t * (3.0 - 2.0 * t) / (1.0 - cos(lobe));
+}
+
+// How much of a lobe the same surroundings hide that hide the sky: the sky that is seen is a cone
+// around the normal with the same ambient occlusion (Jimenez et al. 2016), so that what lies low is
+// hidden first. Relative to an open surface, whose lobe the table already ends at the horizon.
+float specular_occlusion(float cosine, float share, float m) {
+    float open = acos(sqrt(clamp(1.0 - share, 0.0, 1.0)));
+    float lobe = 2.0 * atan(0.7 * m);
+    float apart = acos(cosine);
+    return clamp(cone_overlap(open, lobe, apart) / cone_overlap(0.5 * PI, lobe, apart), 0.0, 1.0);
 }
 
 // Split sum (Karis 2013): the environment through each lobe times what the lobe reflects.
