@@ -35,20 +35,24 @@ class Device:
         self.renderer = str(context.info["GL_RENDERER"])
         self.version = str(context.info["GL_VERSION"])
         self.vendor = str(context.info["GL_VENDOR"])
-        self._programs: dict[tuple[str, str], moderngl.Program] = {}
+        self._programs: dict[tuple[str, str, str], moderngl.Program] = {}
         self._triangles: dict[int, moderngl.VertexArray] = {}
 
     @property
     def is_software(self) -> bool:
         return any(word in self.renderer.lower() for word in ("llvmpipe", "softpipe", "swrast"))
 
-    def program(self, name: str, vertex: str = "fullscreen") -> moderngl.Program:
-        """Compile `shaders/{name}.frag` with `shaders/{vertex}.vert`, once. Raises DeviceError."""
-        key = (name, vertex)
+    def program(self, name: str, vertex: str = "fullscreen", define: str = "") -> moderngl.Program:
+        """Compile `shaders/{name}.frag` with `shaders/{vertex}.vert`, once. Raises DeviceError.
+
+        `define` ("KIND 2") makes a variant: software GL runs both sides of an `if` on a uniform.
+        """
+        key = (name, vertex, define)
         if key not in self._programs:
             try:
                 self._programs[key] = self.context.program(
-                    vertex_shader=_source(f"{vertex}.vert"), fragment_shader=_source(f"{name}.frag")
+                    vertex_shader=_source(f"{vertex}.vert"),
+                    fragment_shader=_defined(_source(f"{name}.frag"), define),
                 )
             except moderngl.Error as error:
                 raise DeviceError(
@@ -123,6 +127,12 @@ def device() -> Device:
         context.gc_mode = "auto"
         return Device(context)
     raise DeviceError(f"no usable OpenGL: {problems[0]}", fix=_NO_GL)
+
+
+def _defined(source: str, define: str) -> str:
+    """The source with a #define after its #version line."""
+    version, rest = source.split("\n", 1)
+    return f"{version}\n#define {define}\n{rest}" if define else source
 
 
 @cache

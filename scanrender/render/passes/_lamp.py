@@ -13,7 +13,7 @@ from scanrender.render.lamps import Lamp
 from scanrender.render.scene import Shot
 
 # What one draw adds, in `irradiance.frag` and `specular.frag`.
-AMBIENT, LAMP, ENVIRONMENT = 0, 1, 2
+AMBIENT, LAMP, ENVIRONMENT = "KIND 0", "KIND 1", "KIND 2"
 # Taps that soften a shadow's edge, a pixel and supersample.
 DISK_TAPS = 16
 

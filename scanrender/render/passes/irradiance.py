@@ -26,7 +26,6 @@ def passes(scene: Scene) -> list[Pass]:
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
         device = scene.device
-        program = device.program("irradiance")
         common = {
             "position": inputs["position"],
             "normal_shading": inputs["normal_shading"],
@@ -34,12 +33,12 @@ def passes(scene: Scene) -> list[Pass]:
             "directional_albedo": scene.directional_albedo,
         }
         ambient = {
-            "kind": AMBIENT,
             "ambient": scene.ambient,
             "mean_directional_albedo": scene.mean_directional_albedo,
             "visibility": scene.white,
             "irradiance_map": scene.white,
         }
+        program = device.program("irradiance", define=AMBIENT)
         bind(program, {**common, **ambient})
         device.fill(program)
         device.context.enable(moderngl.BLEND)
@@ -47,10 +46,10 @@ def passes(scene: Scene) -> list[Pass]:
         for environment in scene.environments:
             around = {
                 **environment_uniforms(environment, shot),
-                "kind": ENVIRONMENT,
                 "irradiance_map": environment.irradiance,
                 "visibility": scene.white,
             }
+            program = device.program("irradiance", define=ENVIRONMENT)
             bind(program, {**common, **around})
             device.fill(program)
         for lamp in scene.lamps:
@@ -60,10 +59,10 @@ def passes(scene: Scene) -> list[Pass]:
             uniforms = {
                 **common,
                 **light_uniforms(lamp, shot),
-                "kind": LAMP,
                 "has_shadow": has_shadow,
                 "visibility": inputs[f"visibility_{lamp.index}"] if has_shadow else scene.white,
             }
+            program = device.program("irradiance", define=LAMP)
             bind(program, uniforms)
             device.fill(program)
 

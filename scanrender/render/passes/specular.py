@@ -27,10 +27,10 @@ def passes(scene: Scene) -> list[Pass]:
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
         device = scene.device
-        program = device.program("specular")
         common = {**_material(scene), **shot.screen_uniforms}
         common |= {name: inputs[name] for name in SURFACE}
-        ambient = {"kind": AMBIENT, "ambient": scene.ambient, "visibility": scene.white}
+        ambient = {"ambient": scene.ambient, "visibility": scene.white}
+        program = device.program("specular", define=AMBIENT)
         bind(program, {**common, **ambient})
         device.fill(program)
         device.context.enable(moderngl.BLEND)
@@ -38,11 +38,11 @@ def passes(scene: Scene) -> list[Pass]:
         for environment in scene.environments:
             around = {
                 **environment_uniforms(environment, shot),
-                "kind": ENVIRONMENT,
                 "lobe_map_0": environment.lobes[0],
                 "lobe_map_1": environment.lobes[1],
                 "visibility": scene.white,
             }
+            program = device.program("specular", define=ENVIRONMENT)
             bind(program, {**common, **around})
             device.fill(program)
         for lamp in scene.lamps:
@@ -52,10 +52,10 @@ def passes(scene: Scene) -> list[Pass]:
             uniforms = {
                 **common,
                 **light_uniforms(lamp, shot),
-                "kind": LAMP,
                 "has_shadow": has_shadow,
                 "visibility": inputs[f"visibility_{lamp.index}"] if has_shadow else scene.white,
             }
+            program = device.program("specular", define=LAMP)
             bind(program, uniforms)
             device.fill(program)
 

@@ -28,7 +28,7 @@ def _visibility(scene: Scene, lamp: Lamp) -> Pass:
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
-        program = scene.device.program("visibility")
+        program = scene.device.program("visibility", define="SIZED" if lamp.size > 0 else "")
         bind(
             program,
             {

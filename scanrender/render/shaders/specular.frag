@@ -2,7 +2,7 @@
 // specular: position, normals, ao, visibility_N -> specular (RGB radiance, added over lights).
 // Kelemen & Szirmay-Kalos 2001: f = D_Beckmann(N.H, m) F(H.V) / (h.h), h = L + V un-normalised.
 // D carries the 1/pi that GPU Gems 3 drops; irradiance in units of pi cancels it here.
-// Never blurred. Ambient: directional albedo times the constant light, dimmed by ao.
+// Never blurred. KIND: 0 ambient, 1 lamp, 2 environment. Ambient: directional albedo times the constant light, dimmed by ao.
 // Check alone: highlights as sharp as the normal map; none in shadow.
 #include "common.glsl"
 #include "environment.glsl"
@@ -17,7 +17,6 @@ uniform sampler2D normal_geometry;
 uniform sampler2D lobe_map_0;    // the environment through each lobe, over mirror directions
 uniform sampler2D lobe_map_1;
 uniform sampler2D lobe_albedo;   // over cos theta: what each lobe reflects, with its share
-uniform int kind;                // of light: 0 ambient, 1 lamp, 2 environment
 uniform bool has_shadow;
 uniform vec3 ambient;
 uniform float f0;
@@ -74,13 +73,13 @@ void main() {
     if (p.a == 0.0) return;
     vec3 n = texelFetch(normal_shading, here, 0).xyz;
     vec3 v = direction_to_eye(p.xyz);
-    if (kind == 0) {
+    if (KIND == 0) {
         float cosine = clamp(dot(n, v), 0.0, 1.0);
         float open = texelFetch(ao, here, 0).r;
         specular = vec4(ambient * open * texture(directional_albedo, vec2(cosine, 0.5)).r, 0.0);
         return;
     }
-    if (kind == 2) {
+    if (KIND == 2) {
         specular = vec4(reflected_environment(here, n, v), 0.0);
         return;
     }

@@ -15,7 +15,7 @@ uniform sampler2D position;
 uniform sampler2D normal_geometry;
 uniform sampler2D normal_shading;
 uniform float blur_mm;      // mm, least radius of the soft edge
-uniform float light_size;   // tangent of the half angle, or mm; 0 keeps the edge at blur_mm
+uniform float light_size;   // tangent of the half angle, or mm; without SIZED the edge is blur_mm
 uniform float reach_mm;     // mm, widest penumbra that is looked for
 uniform float texel_mm;     // mm, one shadow map texel at the subject's centre
 uniform int taps;
@@ -48,8 +48,12 @@ float penumbra_mm(float depth, float blocker) {
 
 bool is_blocked(LightPoint p, vec2 offset, float first, float share_of_cone) {
     if (first >= plane_depth(p, offset) - tolerance(p, offset)) return false;
+#ifdef SIZED
     // Beside the cone from the point to the light, nothing is in the way, however high it stands.
-    return light_size == 0.0 || length(offset) * share_of_cone <= penumbra_mm(p.depth_mm, first) + texel_mm;
+    return length(offset) * share_of_cone <= penumbra_mm(p.depth_mm, first) + texel_mm;
+#else
+    return true;
+#endif
 }
 
 // Radius of the penumbra at this point, -1 where nothing is in the way.
@@ -94,11 +98,11 @@ void main() {
     visibility = share;
     if (!lit.in_map) return;
     float radius_mm = max(blur_mm, texel_mm);
-    if (light_size > 0.0) {
-        float penumbra = search(lit);
-        if (penumbra < 0.0) return;
-        radius_mm = clamp(penumbra, radius_mm, max(reach_mm, radius_mm));
-    }
+#ifdef SIZED
+    float penumbra = search(lit);
+    if (penumbra < 0.0) return;
+    radius_mm = clamp(penumbra, radius_mm, max(reach_mm, radius_mm));
+#endif
     float sum = 0.0;
     for (int i = 0; i < taps; ++i) {
         vec2 offset = on_surface(lit, disk_point(i, taps, turn) * radius_mm);
