@@ -16,6 +16,7 @@ from scanrender.errors import StageError, UsageError
 from scanrender.render.camera import Camera, frame_subject
 from scanrender.render.device import Device, bind
 from scanrender.render.graph import Graph, TexturePool
+from scanrender.render.lamps import WIDEST_MAP_DEG
 from scanrender.render.passes import all_passes
 from scanrender.render.passes._scatter import largest_width_factor
 from scanrender.render.plan import Decision, plan
@@ -44,6 +45,7 @@ class Renderer:
         self.scene = Scene(device, asset, self.pipeline)
         self.graph = Graph(all_passes(self.scene))
         self.pool = TexturePool(device)
+        self.decisions += _light_decisions(self.scene)
         self.camera = self._camera()
         self.guard_px = self._guard_px()
 
@@ -189,6 +191,19 @@ class Renderer:
             "camera_distance_mm": round(self.camera.distance_mm, 3),
             "guard_px": self.guard_px,
         }
+
+
+def _light_decisions(scene: Scene) -> list[Decision]:
+    """What a lamp's shadow map cannot hold."""
+    return [
+        Decision(
+            f"part of the shadows of lamp {lamp.index}",
+            f"it stands {lamp.distance_mm:.0f} mm from the centre, inside the subject's bounds; "
+            f"its map sees {WIDEST_MAP_DEG:.0f} degrees, what lies beside it is lit unshadowed",
+        )
+        for lamp in scene.lamps
+        if lamp.settings.shadow and not lamp.sees_all
+    ]
 
 
 def _family(name: str, order: dict[str, int]) -> int:

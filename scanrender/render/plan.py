@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from scanrender.settings.light import AmbientLight
+from scanrender.settings.light import EnvironmentLight, LampSettings
 from scanrender.settings.pipeline import Pipeline
 
 
@@ -38,7 +38,8 @@ def plan(
 def _without_black_lights(pipeline: Pipeline, decisions: list[Decision]) -> Pipeline:
     lights = []
     for index, light in enumerate(pipeline.lights):
-        if light.irradiance == 0.0 or not any(light.colour):
+        strength = light.intensity if isinstance(light, EnvironmentLight) else light.irradiance
+        if strength == 0.0 or not any(light.colour):
             decisions.append(Decision(f"lights.{index}", "it is black"))
         else:
             lights.append(light)
@@ -49,7 +50,7 @@ def _with_transmission_that_can_be(
     pipeline: Pipeline, maps: Collection[str] | None, decisions: list[Decision]
 ) -> Pipeline:
     skin = pipeline.skin
-    lamps = [light for light in pipeline.lights if not isinstance(light, AmbientLight)]
+    lamps = [light for light in pipeline.lights if isinstance(light, LampSettings)]
     reason = ""
     if skin.transmission.method == "shadow_map" and not any(lamp.shadow for lamp in lamps):
         reason = "no light casts a shadow, so nothing tells how thick the skin is"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -14,15 +15,18 @@ from scanrender.asset import Asset
 from scanrender.optics.kernels import gaussian_taps
 from scanrender.optics.profiles._checks import MIN_LENGTH_MM
 from scanrender.optics.profiles.gaussians import D_EON_SKIN, GaussianSum
-from scanrender.optics.surface import SpecularLobes
+from scanrender.optics.surface import SpecularLobes, rho_dt
 from scanrender.render.camera import Camera, Matrix, rotation_y
 from scanrender.render.device import Device
+from scanrender.render.environment import Environment
 from scanrender.render.lamps import Lamp, resolve_lights
 from scanrender.render.view import TABLE_SIZE, view_table
+from scanrender.settings.light import EnvironmentLight, Follows
 from scanrender.settings.pipeline import Pipeline
 from scanrender.settings.skin import SkinSettings
 
 RHO_TABLE_SIZE = 64
+RHO_COSINES = (np.arange(RHO_TABLE_SIZE) + 0.5) / RHO_TABLE_SIZE
 SEPARABLE = ("separable_preintegrated", "separable_artistic")
 # What a scan without a map gets. Thickness has no neutral value: plan.py sees to it.
 NEUTRAL_MAPS = {
@@ -57,10 +61,31 @@ class Shot:
     def view_from_object(self) -> Matrix:
         return self.view_from_world @ self.world_from_object
 
+    def rig_from_world(self, follows: Follows) -> Matrix:
+        """Axes that a light is fixed to, around the subject's centre."""
+        if follows == "subject":
+            return np.asarray(np.linalg.inv(self.world_from_object))
+        turn = np.eye(4)
+        if follows == "camera":
+            turn[:3, :3] = self.view_from_world[:3, :3]
+        return turn
+
     @property
-    def px_per_mm_at_1mm(self) -> float:
-        """0.5 H P11: divide by depth in mm for pixels per millimetre (square pixels)."""
-        return float(0.5 * self.size[1] * self.clip_from_view[1, 1])
+    def is_orthographic(self) -> bool:
+        return bool(self.clip_from_view[3, 2] == 0.0)
+
+    def px_per_mm(self, depth_mm: float) -> float:
+        """Pixels per millimetre at a depth: 0.5 H P11 / z, without /z when orthographic."""
+        scale = float(0.5 * self.size[1] * self.clip_from_view[1, 1])
+        return scale if self.is_orthographic else scale / depth_mm
+
+    @property
+    def screen_uniforms(self) -> dict[str, Any]:
+        """What `screen.glsl` takes."""
+        return {
+            "px_per_mm_at_1mm": self.px_per_mm(1.0),
+            "is_orthographic": self.is_orthographic,
+        }
 
 
 class Scene:
@@ -132,10 +157,30 @@ class Scene:
         )
 
     @cached_property
+    def environments(self) -> list[Environment]:
+        """Environment lights, prefiltered for this material."""
+        found = [light for light in self.pipeline.lights if isinstance(light, EnvironmentLight)]
+        return [
+            Environment(self.device, light, self._lobes, RHO_COSINES, self._rho) for light in found
+        ]
+
+    @cached_property
+    def lobe_albedo(self) -> moderngl.Texture:
+        """Row over cos theta: what each lobe reflects with its share; they sum to
+        `directional_albedo`.
+        """
+        lobes = self._lobes
+        parts = np.stack([
+            lobes.mix * rho_dt(RHO_COSINES, lobes.m_first, lobes.f0),
+            (1.0 - lobes.mix) * rho_dt(RHO_COSINES, lobes.m_second, lobes.f0),
+        ], axis=-1)  # fmt: skip
+        total = np.maximum(parts.sum(axis=-1, keepdims=True), 1e-12)
+        return self.device.table((parts / total * self._rho[:, None])[None], linear=True)
+
+    @cached_property
     def _rho(self) -> npt.NDArray[np.float64]:
-        cosines = (np.arange(RHO_TABLE_SIZE) + 0.5) / RHO_TABLE_SIZE
         strength = self.pipeline.skin.specular.strength
-        return np.clip(strength * self._lobes.directional_albedo(cosines), 0.0, 1.0)
+        return np.clip(strength * self._lobes.directional_albedo(RHO_COSINES), 0.0, 1.0)
 
     @cached_property
     def directional_albedo(self) -> moderngl.Texture:
@@ -145,8 +190,7 @@ class Scene:
     @cached_property
     def mean_directional_albedo(self) -> float:
         """Cosine-weighted mean of `directional_albedo`: for light that comes from everywhere."""
-        cosines = (np.arange(RHO_TABLE_SIZE) + 0.5) / RHO_TABLE_SIZE
-        return float(np.average(self._rho, weights=cosines))
+        return float(np.average(self._rho, weights=RHO_COSINES))
 
     @cached_property
     def view_table(self) -> moderngl.Texture3D:

@@ -70,7 +70,7 @@ def uniforms(
         **{name: inputs[name] for name in guides(scene)},
         "source": inputs[source],
         "direction": direction,
-        "px_per_mm_at_1mm": shot.px_per_mm_at_1mm,
+        **shot.screen_uniforms,
         "ray": _ray(shot),
         "edge_contrast": diffusion.edge_contrast,
         "lab_falloff": 0.5 / diffusion.limit_delta_e**2,
@@ -129,8 +129,10 @@ def sample_shift_px(shot: Shot, direction: tuple[int, int]) -> float:
 
 
 def _ray(shot: Shot) -> tuple[float, float, float, float]:
-    """View xy / depth = pixel * (x, y) + (z, w), the inverse of the projection."""
+    """View xy / depth (xy itself if orthographic) = pixel * (x, y) + (z, w), the inverse of the
+    projection."""
     clip = shot.clip_from_view
     scale = 2.0 / (np.array(shot.size) * clip[[0, 1], [0, 1]])
-    offset = (clip[:2, 2] - 1.0) / clip[[0, 1], [0, 1]]
+    shift = -clip[:2, 3] if shot.is_orthographic else clip[:2, 2]
+    offset = (shift - 1.0) / clip[[0, 1], [0, 1]]
     return float(scale[0]), float(scale[1]), float(offset[0]), float(offset[1])

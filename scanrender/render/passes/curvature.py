@@ -42,7 +42,7 @@ def _direction(scene: Scene, source: str, written: str, direction: tuple[int, in
                 "tap_count": taps.size[0],
                 "direction": direction,
                 "sigma_mm": _sigma_mm(scene),
-                "px_per_mm_at_1mm": shot.px_per_mm_at_1mm,
+                **shot.screen_uniforms,
             },
         )
         scene.device.fill(program)

@@ -27,7 +27,8 @@ def passes(scene: Scene) -> list[Pass]:
     ) -> None:
         device = scene.device
         program = device.program("diffuse")
-        common = {name: inputs[name] for name in SURFACE}
+        common: dict[str, Any] = {name: inputs[name] for name in SURFACE}
+        common |= shot.screen_uniforms
         common["directional_albedo"] = scene.directional_albedo
         device.context.enable(moderngl.BLEND)
         device.context.blend_func = moderngl.ONE, moderngl.ONE

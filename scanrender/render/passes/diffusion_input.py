@@ -23,6 +23,7 @@ def passes(scene: Scene) -> list[Pass]:
             program,
             {
                 **inputs,
+                **shot.screen_uniforms,
                 "albedo_power": scene.albedo_power,
                 "working_distance_mm": shot.working_distance_mm,
                 "use_skin": scene.uses_skin_map,

@@ -20,7 +20,7 @@ def passes(scene: Scene) -> list[Pass]:
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
         program = scene.device.program("edge_guide", defines=defines)
-        bind(program, inputs)
+        bind(program, {**inputs, **shot.screen_uniforms})
         scene.device.fill(program)
 
     return [Pass("edge_guide", READS, (Buffer("edge_guide", components=1),), draw)]

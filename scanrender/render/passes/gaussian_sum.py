@@ -106,7 +106,7 @@ def level_is_narrow(scene: Scene, shot: Shot, level: int) -> bool:
 
 
 def _widest_px(scene: Scene, shot: Shot, sigma_mm: float) -> float:
-    return sigma_mm * largest_width_factor(scene) * shot.px_per_mm_at_1mm / shot.near_mm
+    return sigma_mm * largest_width_factor(scene) * shot.px_per_mm(shot.near_mm)
 
 
 def level_uniforms(

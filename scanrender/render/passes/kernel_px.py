@@ -26,7 +26,7 @@ def passes(scene: Scene) -> list[Pass]:
                 **inputs,
                 "width_by_curvature": width_by_curvature(scene),
                 "radius_mm": scene.reach_mm,
-                "px_per_mm_at_1mm": shot.px_per_mm_at_1mm,
+                **shot.screen_uniforms,
             },
         )
         scene.device.fill(program)

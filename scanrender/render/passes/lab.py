@@ -45,7 +45,7 @@ def _direction(scene: Scene, source: str, written: str, direction: tuple[int, in
                 "tap_count": taps.size[0],
                 "direction": direction,
                 "sigma_mm": diffusion.limit_smooth_mm,
-                "px_per_mm_at_1mm": shot.px_per_mm_at_1mm,
+                **shot.screen_uniforms,
                 "colour_falloff": 0.5 / diffusion.limit_delta_e**2,
             },
         )

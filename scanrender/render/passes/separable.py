@@ -74,7 +74,7 @@ def taps_for(samples: int, reach_px: float) -> int:
 def tap_uniforms(scene: Scene, shot: Shot, program: moderngl.Program) -> dict[str, Any]:
     """Bind the kernel's block for this shot; return how many taps it holds."""
     reach_mm = float(scene.reach_mm.max())
-    reach_px = reach_mm * largest_width_factor(scene) * shot.px_per_mm_at_1mm / shot.near_mm
+    reach_px = reach_mm * largest_width_factor(scene) * shot.px_per_mm(shot.near_mm)
     count = taps_for(scene.pipeline.diffusion.samples, reach_px)
     block: Any = program["Taps"]
     block.binding = 0

@@ -11,7 +11,7 @@ import numpy as np
 from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
 from scanrender.render.lamps import Lamp
-from scanrender.render.passes._lamp import light_uniforms, shadow_uniforms
+from scanrender.render.passes._lamp import shadow_uniforms
 from scanrender.render.passes._scatter import width_by_curvature
 from scanrender.render.scene import Scene, Shot
 
@@ -89,7 +89,6 @@ def _lamp_uniforms(
 ) -> dict[str, Any]:
     shadow_map = inputs[f"shadow_{lamp.index}"] if lamp.settings.shadow else scene.white
     return {
-        **light_uniforms(lamp, shot),
         **shadow_uniforms(lamp, shot, shadow_map),
         "has_shadow": lamp.settings.shadow,
         "far_mm": 2.0 * scene.radius_mm,

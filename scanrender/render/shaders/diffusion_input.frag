@@ -7,6 +7,7 @@
 // measure is area / width of a row, and a row is as wide as its depth: hence jacobian / depth. With the
 // jacobian alone a plane seen at 60 deg through a 90 deg lens is 2 % off. Dumped, the buffer is divided
 // by the mask again. Check alone: diffusion_input equals irradiance for texturing: post.
+#include "screen.glsl"
 uniform sampler2D irradiance;
 uniform sampler2D albedo;
 uniform sampler2D skin;
@@ -30,8 +31,8 @@ void main() {
     // Never quite zero: a pixel whose own mask is 0 must still divide by something positive.
     mask = max(mask, 1e-4);
     if (use_jacobian) {
-        float z = max(texelFetch(depth_mm, here, 0).r, 1e-6);
-        mask *= texelFetch(jacobian, here, 0).r * (working_distance_mm / z);
+        float row = px_per_mm(texelFetch(depth_mm, here, 0).r) / px_per_mm(working_distance_mm);
+        mask *= texelFetch(jacobian, here, 0).r * row;
     }
     diffusion_input = vec4(light * mask, mask);
 }

@@ -6,6 +6,7 @@
 // I is grey albedo, never lit light: a shadow must not stop what scatters into it.
 // phi_i: pixel ray to optical axis; phi_j: ray to normal, its cosine clamped: raw 1/cos makes inf - inf
 // at silhouettes, the paper's black dots. Check alone: albedo in the middle, bright along silhouettes.
+#include "screen.glsl"
 uniform sampler2D position;
 uniform sampler2D normal_geometry;
 uniform sampler2D albedo;
@@ -17,9 +18,9 @@ void main() {
     vec4 p = texelFetch(position, here, 0);
     edge_guide = 0.0;
     if (p.a == 0.0) return;
-    vec3 ray = normalize(p.xyz);
-    float cos_i = -ray.z;
-    float cos_j = max(abs(dot(texelFetch(normal_geometry, here, 0).xyz, ray)), 0.05);
+    vec3 to_eye = direction_to_eye(p.xyz);
+    float cos_i = to_eye.z;
+    float cos_j = max(abs(dot(texelFetch(normal_geometry, here, 0).xyz, to_eye)), 0.05);
     float grey = dot(texelFetch(albedo, here, 0).rgb, vec3(1.0 / 3.0));
     edge_guide = grey * cos_i / cos_j;
 #ifndef NORMALIZED

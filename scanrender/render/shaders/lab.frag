@@ -4,13 +4,13 @@
 // a tap counts by its distance, depth step and colour difference, so that the noise of a scan's
 // texture goes and the border of a lip stays. Of albedo, so that exposure cannot move the limit.
 // Check alone: flat patches of colour, borders as sharp as the albedo's.
+#include "screen.glsl"
 uniform sampler2D source;        // albedo, or Lab
 uniform sampler2D depth_mm;
 uniform sampler2D taps;          // (offset in sigma, weight)
 uniform int tap_count;
 uniform vec2 direction;
 uniform float sigma_mm;
-uniform float px_per_mm_at_1mm;
 uniform float colour_falloff;    // 1 / 2s^2, s in dE
 
 layout(location = 0) out vec4 lab;
@@ -40,7 +40,7 @@ void main() {
     lab = vec4(lab_from_linear_rec709(clamp(centre.rgb, 0.0, 1.0)), 1.0);
 #else
     ivec2 last = textureSize(source, 0) - 1;
-    float sigma_px = sigma_mm * px_per_mm_at_1mm / max(z, 1e-6);
+    float sigma_px = sigma_mm * px_per_mm(z);
     float depth_falloff = 0.25 / max(sigma_mm * sigma_mm, 1e-12);
     vec3 sum = 1e-4 * centre.rgb;
     float total = 1e-4;

@@ -10,13 +10,13 @@
 //   JITTER        taps move inside their cells, by pixel and sample index only
 //   WEIGHTS       weight_sum and rejected are written instead of light
 // Sums are normalized by the mask that was met, and premultiplied again by the pixel's own.
+#include "screen.glsl"
 uniform sampler2D source;        // RGB premultiplied, a = mask
 uniform sampler2D depth_mm;      // -z, 0 where there is no surface
 uniform vec2 direction;          // (1,0) or (0,1)
-uniform float px_per_mm_at_1mm;
 #if defined(HALO_DEPTH) || defined(HALO_MEASURE)
 uniform sampler2D normal_geometry;
-uniform vec4 ray;                // view xy / depth = gl_FragCoord.xy * ray.xy + ray.zw
+uniform vec4 ray;                // view xy / depth (ortho: xy) = gl_FragCoord.xy * ray.xy + ray.zw
 #endif
 #ifdef GUIDE_EDGE
 uniform sampler2D edge_guide;
@@ -52,7 +52,8 @@ float mm_per_px;                 // facing, at the centre's depth
 vec3 sum = vec3(0.0);
 WEIGHT total = WEIGHT(0.0);
 #if defined(HALO_DEPTH) || defined(HALO_MEASURE)
-vec3 centre_ray;                 // view position / depth
+vec3 centre_ray;                 // way of the ray, z = -1
+vec3 centre_point;               // view, mm
 vec3 surface_step;               // mm that one pixel step along the direction moves on the surface
 #endif
 #ifdef GUIDE_EDGE
@@ -67,6 +68,13 @@ float taps_met = 0.0;
 float taps_rejected = 0.0;
 #endif
 
+#if defined(HALO_DEPTH) || defined(HALO_MEASURE)
+vec3 view_point(vec2 pixel, float z) {
+    vec2 xy = pixel * ray.xy + ray.zw;
+    return vec3(is_orthographic ? xy : xy * z, -z);
+}
+#endif
+
 // False where there is no surface: nothing scatters there.
 bool begin() {
     centre_z = texelFetch(depth_mm, here, 0).r;
@@ -78,10 +86,11 @@ bool begin() {
 #endif
     if (centre_z <= 0.0) return false;
     centre = texelFetch(source, here, 0);
-    mm_per_px = max(centre_z, 1e-6) / px_per_mm_at_1mm;
+    mm_per_px = 1.0 / px_per_mm(centre_z);
 #if defined(HALO_DEPTH) || defined(HALO_MEASURE)
     // On the plane n.(x - p) = 0 a step e moves the point by (z / f) (e - r (n.e) / (n.r)), r = p / z.
-    centre_ray = vec3(gl_FragCoord.xy * ray.xy + ray.zw, -1.0);
+    centre_point = view_point(gl_FragCoord.xy, centre_z);
+    centre_ray = is_orthographic ? vec3(0.0, 0.0, -1.0) : centre_point / max(centre_z, 1e-6);
     vec3 n = texelFetch(normal_geometry, here, 0).xyz;
     float facing = dot(n, centre_ray);
     float least = 0.05 * length(centre_ray);  // no raw 1/cos
@@ -130,8 +139,7 @@ float beyond_mm2(ivec2 texel, float steps, float flat_mm2) {
     // Where nothing was drawn there is no depth; its mask of 0 already keeps it out.
     if (z <= 0.0) return 0.0;
 #ifdef HALO_MEASURE
-    vec3 q = vec3((vec2(texel) + 0.5) * ray.xy + ray.zw, -1.0) * z;
-    vec3 d = q - centre_ray * centre_z;
+    vec3 d = view_point(vec2(texel) + 0.5, z) - centre_point;
     return dot(d, d) - flat_mm2;
 #else
     // From the surface's own slope: turned skin is no step. Up to 63 deg, so that the last pixels

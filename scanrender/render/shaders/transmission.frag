@@ -51,23 +51,22 @@ vec3 crossing(vec3 p, vec3 n, vec3 l, ivec2 here) {
     thickness_mm = d;
     vec3 t = d >= opaque_mm ? vec3(0.0) : transmittance_at(d);
     if (!has_shadow || d >= opaque_mm) return t;
-    LightPoint back = light_point(p - n * d);
-    vec2 slope = plane_slope(n);
+    LightPoint back = light_point(p - n * d, n);
+    if (!back.in_map) return t;  // nothing tells what stands before it
     // The back leans and bends: the map's d does not lead to it exactly.
     float slack = max(bias_mm, 0.5 * d) + texel_mm;
     float seen = 0.0;
     for (int i = 0; i < tap_count; ++i) {
         vec2 offset = disk_point(i, tap_count, turn) * max(blur_mm, texel_mm);
-        float first = texture(shadow_map, back.uv + offset / back.mm_per_uv).r;
-        seen += first < back.depth_mm + dot(slope, offset) - slack ? 0.0 : 1.0;
+        float first = first_depth(back, offset);
+        seen += first < plane_depth(back, offset) - slack ? 0.0 : 1.0;
     }
     return t * seen / float(tap_count);
 }
 #else
 vec3 crossing(vec3 p, vec3 n, vec3 l, ivec2 here) {
-    LightPoint inside = light_point(p - n * bias_mm);
-    // Taps beside the point meet its own tilted plane: its depth there, not the point's, counts.
-    vec2 slope = plane_slope(n);
+    LightPoint inside = light_point(p - n * bias_mm, n);
+    if (!inside.in_map) return vec3(0.0);  // no map tells how thick it is there
 
     bool away = dot(l, n) < 0.0;
     // The receiver was moved toward the light; the light still has to cross that much more.
@@ -76,12 +75,13 @@ vec3 crossing(vec3 p, vec3 n, vec3 l, ivec2 here) {
     float thickness = 0.0;
     for (int i = 0; i < tap_count; ++i) {
         vec2 offset = disk_point(i, tap_count, turn) * max(blur_mm, texel_mm);
-        float entry = texture(shadow_map, inside.uv + offset / inside.mm_per_uv).r;
+        float entry = first_depth(inside, offset);
         // Away from the light, a tap that enters deeper than the point itself (or nowhere) tells of
         // no path through skin: it counts as thick. On the lit side it is the lit face, 0 thick.
-        float exit = inside.depth_mm + dot(slope, offset);
+        // Taps beside the point meet its own tilted plane: its depth there counts.
+        float exit = plane_depth(inside, offset);
         bool no_path = away && entry > exit + bias_mm;
-        float d = no_path ? far_mm : max(0.0, exit - entry) + buried;
+        float d = no_path ? far_mm : max(0.0, exit - entry) * inside.way_per_depth + buried;
         thickness += d;
         // Fading in over one more bias keeps the terminator smooth when `wrap` lights it.
         t += d >= opaque_mm ? vec3(0.0) : smoothstep(bias_mm, 2.0 * bias_mm, d) * transmittance_at(d);
