@@ -36,6 +36,7 @@ FLIPPED_SHARE = 2e-4  # of the faces may look the wrong way before a gentler att
 NORMALS_PER_FACE = 4  # raw normals kept for each face to compare with
 NEAREST = 6  # of them are asked: beside a crease the very nearest may lie on its other side
 NEW_HOLE_EDGES = 16  # a collapse opens holes of three or four edges
+MANY_LOOPS = 40  # from here on the whole raw boundary is looked up instead of each surrounding
 UNFOLD_ROUNDS = 4
 # A piece that the collapse may not lose is larger than this share of the largest.
 PIECE_SHARE = 1e-3
@@ -195,7 +196,30 @@ class Reference:
     def _new_loops(self, simple: Surface) -> list[Array]:
         """Short boundary loops that lie apart from each boundary of the raw surface."""
         loops = [loop for loop in boundary_loops(simple.faces) if len(loop) <= NEW_HOLE_EDGES]
-        return [loop for loop in loops if not self._has_border_near(simple.positions[loop])]
+        rings = [simple.positions[loop] for loop in loops]
+        near = (
+            self._near_borders(rings)
+            if len(rings) > MANY_LOOPS
+            else map(self._has_border_near, rings)
+        )
+        return [loop for loop, is_near in zip(loops, near, strict=True) if not is_near]
+
+    def _near_borders(self, rings: list[Array]) -> list[bool]:
+        """`_has_border_near` for all of them at once: a shattered scan has 10^5."""
+        if self._border_tree is None:
+            return [False] * len(rings)
+        sizes = np.array([len(ring) for ring in rings])
+        start = np.cumsum(sizes) - sizes
+        away = self._border_tree.query(np.concatenate(rings))[0]
+        side = [np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1).mean() for ring in rings]
+        return [bool(x) for x in np.minimum.reduceat(away, start) <= np.array(side)]
+
+    @cached_property
+    def _border_tree(self) -> cKDTree | None:
+        """The raw surface's boundary vertices."""
+        edges = edges_of(self.raw.faces)
+        border = np.unique(edges.pairs[edges.count == 1])
+        return cKDTree(self.raw.positions[border]) if len(border) else None
 
     def _has_border_near(self, ring: Array) -> bool:
         """Whether the raw surface has a boundary within a side's length of the box around a loop.
@@ -231,14 +255,20 @@ class Reference:
         if count == 1 or components(simple.faces, len(simple.positions))[0] >= count:
             return 0
         area = np.bincount(piece, face_areas(raw.positions, raw.faces), minlength=count)
+        # All pieces at once, their faces one after the other: a shattered scan has 10^5.
+        order = np.argsort(piece, kind="stable")
+        start = np.searchsorted(piece[order], np.arange(count))
+        corners = raw.positions[raw.faces[order]]
+        low = np.minimum.reduceat(corners.min(axis=1), start)
+        high = np.maximum.reduceat(corners.max(axis=1), start)
+        reach = 0.5 * np.linalg.norm(high - low, axis=1)
+        place = np.arange(len(order)) - np.repeat(start, np.diff(start, append=len(order)))
+        every = np.maximum(np.bincount(piece) // PIECE_SAMPLES, 1)
+        some = np.flatnonzero(place % every[piece[order]] == 0)
         tree = cKDTree(simple.positions[np.unique(simple.faces)])
-        lost = 0
-        for number in np.flatnonzero(area >= PIECE_SHARE * area.max()):
-            points = raw.positions[np.unique(raw.faces[piece == number])]
-            some = points[:: max(1, len(points) // PIECE_SAMPLES)]
-            reach = 0.5 * float(np.linalg.norm(np.ptp(points, axis=0)))
-            lost += int(tree.query(some)[0].min() > reach)
-        return lost
+        nearest = np.full(count, np.inf)
+        np.minimum.at(nearest, piece[order][some], tree.query(corners[some, 0])[0])
+        return int(((nearest > reach) & (area >= PIECE_SHARE * area.max())).sum())
 
     def _turned_back(self, simple: Surface) -> tuple[Surface, int, int]:
         """Vertices of faces that look the wrong way are drawn to their neighbours' mean, as long as
