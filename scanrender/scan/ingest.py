@@ -149,7 +149,7 @@ def _validated(raw: RawMesh, path: Path) -> RawMesh:
 def _without_strays(raw: RawMesh) -> RawMesh:
     """Without vertices that no face uses, where one lies outside the scan, or nowhere at all: the
     size of the scan is what tolerances are relative to."""
-    kept = used_vertices(raw.faces, len(raw.positions))
+    kept = np.flatnonzero(used_vertices(raw.faces, len(raw.positions)))
     if len(kept) == len(raw.positions):
         return raw
     used = raw.positions[kept]
