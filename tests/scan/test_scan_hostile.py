@@ -114,7 +114,7 @@ REFUSED = {
             TRIANGLE), "loop"),
     "no-index.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 7 8 9\nf -7 -8 -9\n", "no usable face"),
     "not-finite.obj": (b"v nan 0 0\nv inf 0 0\nv 0 -inf 0\nf 1 2 3\n", "no usable face"),
-    "degenerate.obj": (b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\nf 1 1 2\n", "nothing of the scan"),
+    "degenerate.obj": (b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\nf 1 1 2\n", "none of its triangles"),
     "one-point.obj": (b"v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n", "no size"),
     "bomb.obj": (f"mtllib bomb.mtl\n{SQUARE}usemtl a\n{FACES}".encode(), "60000 x 60000"),
     "bomb.glb": (
