@@ -221,6 +221,7 @@ FIDELITY_LINES = (
     ("components_changed", "pieces gained or lost"),
     ("lost.color_de2000.mean", "colour reprojected dE2000 mean"),
     ("lost.color_de2000.p95", "colour reprojected dE2000 95 %"),
+    ("as_is_unwrap", "texture coordinates of the as-is asset"),
     ("front.mean", "picture, front: dE2000 mean"),
     ("front.p95", "picture, front: dE2000 95 %"),
     ("profile.mean", "picture, profile: dE2000 mean"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -45,17 +46,21 @@ def add_plain_calls(
     """Run the plain call beside each stage that has one, each in a process of its own, and add
     plain (what it is), plain_seconds, plain_mib, and ratio (ours over plain) to the stage's cost.
 
-    A call that fails or takes longer than PLAIN_TIMEOUT_S leaves plain_failed, and no ratio.
+    A call that fails or takes longer than PLAIN_TIMEOUT_S leaves plain_failed, and no ratio;
+    plain_limit_s is the limit that it exceeded, else None.
     """
     for name, cost in costs.items():
         if name not in CALLS:
             continue
         cost["plain"] = CALLS[name][0]
         params = {"stage": name, "scan": str(scan.resolve()), "asset": str(asset.resolve())}
+        started = time.perf_counter()
         try:
             _, report = run_task("plain", {}, params, PLAIN_TIMEOUT_S)
         except ScanrenderError as error:
             cost["plain_failed"] = error.what
+            late = time.perf_counter() - started >= PLAIN_TIMEOUT_S
+            cost["plain_limit_s"] = PLAIN_TIMEOUT_S if late else None
             say(f"the plain call for {name} failed: {error.what}")
             continue
         cost["plain_seconds"] = round(report["seconds"], 3)

@@ -49,7 +49,10 @@ def stage_table(row: Row) -> Table:
     table = [list(_STAGES[0])]
     for name, cost in row["stages"].items():
         keys = ("seconds", "peak_mib", "plain_seconds", "plain_mib", "ratio")
-        table.append([name, *(_cell(cost.get(key)) for key in keys), cost.get("plain", "")])
+        cells = [_cell(cost.get(key)) for key in keys]
+        if "plain_failed" in cost:
+            cells[2] = f"> {cost['plain_limit_s']:g}" if cost["plain_limit_s"] else "failed"
+        table.append([name, *cells, cost.get("plain", "")])
     if not any(any(line[3:6]) for line in table[1:]):
         return [line[:3] for line in table]
     return table

@@ -62,7 +62,8 @@ class Watch:
     def _poll(self) -> None:
         while True:
             now = tree_kib(os.getpid())
-            if now is not None and self.samples and now > SUDDEN * self.samples[-1][1]:
+            known = self.samples[-1][1] if self.samples else 0
+            if now is not None and now > SUDDEN * known:
                 time.sleep(AGAIN_S)
                 now = min(now, tree_kib(os.getpid()) or now)
             if now is not None:

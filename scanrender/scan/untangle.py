@@ -12,29 +12,31 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from scanrender.scan.flatten import is_flattenable
 from scanrender.scan.segment import edge_components
 from scanrender.scan.topology import edges_of
 
 Array = npt.NDArray[Any]
 ROUNDS = 12  # what a taken face uncovers may cross again
-MAX_TAKEN = 24  # faces; beyond that, cutting the piece in two is the better cure
+# Faces that may be taken; beyond that, cutting the piece in two is the better cure.
+MAX_TAKEN, MAX_SHARE = 24, 0.005
 
 
 def simple_part(uv: Array, faces: Array) -> npt.NDArray[np.bool_] | None:
     """(m,) the faces to keep, so that the border of uv (n, 2), faces (m, 3) crosses itself nowhere;
-    None where that takes too many, or leaves no single disk."""
+    None where that takes too many. What is kept hangs together."""
     kept = np.ones(len(faces), bool)
+    most = min(max(MAX_TAKEN, MAX_SHARE * len(faces)), 0.5 * len(faces))
     for _ in range(ROUNDS):
         rows = np.flatnonzero(kept)
         first, second = border_crossings(uv, faces[rows])
         if not len(first):
-            whole = kept.all() or (
-                is_flattenable(faces[rows]) and int(edge_components(faces[rows]).max()) == 0
-            )
-            return kept if whole else None
+            return kept
         kept[rows[_cover(first, second, len(rows))]] = False
-        if (~kept).sum() > MAX_TAKEN or (~kept).sum() * 2 > len(faces):
+        # A part that is cut off could lie within the rest without a crossing: it goes as well.
+        rows = np.flatnonzero(kept)
+        part = edge_components(faces[rows])
+        kept[rows[part != np.bincount(part).argmax()]] = False
+        if (~kept).sum() > most:
             return None
     return None
 

@@ -38,6 +38,7 @@ PIECES = 36
 MAX_DISTORTION = 1.25
 # The mean over a face counts what nobody sees, bags behind its lids and lips; a seam all would see.
 FACE_DISTORTION = 1.45
+STRAY_SHARE = 0.2  # of a side's largest part: less is not a chart of its own
 MAX_OVERLAP = 0.002  # of a piece; less is taken away face by face
 OVERLAP_TEST_PX = 256
 
@@ -95,6 +96,12 @@ def _flattened(
 
 def _halves(positions: Array, faces: Array, chosen: Array) -> list[Array]:
     half = split_in_two(positions, faces[chosen])
+    # What a side's larger part left behind across the cut goes to the other side.
+    for side in (0, 1):
+        rows = np.flatnonzero(half == side)
+        label = edge_components(faces[chosen[rows]])
+        size = np.bincount(label)
+        half[rows[size[label] < STRAY_SHARE * size.max()]] = 1 - side
     return [part for side in (0, 1) for part in _connected(faces, chosen[half == side])]
 
 

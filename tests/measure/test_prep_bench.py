@@ -113,6 +113,9 @@ def test_a_plain_call_that_fails_is_told_and_has_no_ratio(tmp_path):
     stage_costs.add_plain_calls(costs, tmp_path / "none.ply", tmp_path, said.append)
     assert "plain_failed" in costs["ingest"]
     assert "ratio" not in costs["ingest"]
+    assert stage_table({"stages": costs})[1][3] == "failed"
+    late = {"seconds": 1.0, "plain_failed": "too long", "plain_limit_s": 300.0}
+    assert stage_table({"stages": {"clean": late}})[1][3] == "> 300"
     assert costs["report"] == {"seconds": 1.0}
     assert len(said) == 1
 
