@@ -156,6 +156,7 @@ def _shapes(
         )
         with journal.stage("raw surface"):
             high = make_high(surface, prep.bake)
+            high.target.make_tree()  # while the collapse still runs beside this
         positions, faces = simple.result()
         with journal.stage("occlusion, thickness"):
             normals = vertex_normals(positions, faces)
