@@ -158,6 +158,7 @@ def _shapes(
         with journal.stage("raw surface"):
             high = make_high(surface, prep.bake)
             # Needed later, and time now: the collapse still runs beside this.
+            high.target.build()
             high.target.make_tree()
             _ = high.target.face_normals
         positions, faces = simple.result()

@@ -23,7 +23,7 @@ from scanrender.scan.topology import face_centres, unit
 Array = npt.NDArray[Any]
 
 CAGE_MM = (0.05, 6.0)  # smallest: float32 and flat patches; largest: never through a lip or an ear
-PIECE = 300_000  # texels at a time: temporary arrays stay near the caches, and cores stay busy
+PIECE = 100_000  # texels at a time: temporary arrays stay near the caches, and cores stay busy
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,11 @@ class Target:
         """(m, 3) unit; zero for a face without area."""
         return unit(area_normals(self.positions, self.faces)).astype(np.float32)
 
+    def build(self) -> None:
+        """Embree builds its hierarchy at the first ray: here, once, and not in each copy of this
+        process that would cast it."""
+        self.occluded(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), 1.0)
+
     def make_tree(self) -> None:
         """What `nearest` needs, ahead of its first call."""
         import igl
