@@ -1,15 +1,15 @@
 """Place charts in a square atlas as large as they fit, turned freely, never mirrored.
 
 Bitmaps on a coarse grid, each chart where it touches most of what is placed already; all positions
-of one chart are tested at once by correlation (FFT). The scale is searched: the largest at which
-everything still fits. In the spirit of Levy, Petitjean, Ray, Maillot: Least Squares Conformal Maps
-for Automatic Texture Atlas Generation, SIGGRAPH 2002, section 4, which slides horizons instead and
-cannot fill the holes that it leaves.
+of one chart are tested at once by correlation (FFT). The scale is searched: the largest tried at
+which everything still fits. In the spirit of Levy, Petitjean, Ray, Maillot: Least Squares Conformal
+Maps for Automatic Texture Atlas Generation, SIGGRAPH 2002, section 4, which slides horizons instead
+and cannot fill the holes that it leaves.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,12 +22,14 @@ from scanrender.scan.rasterize import spans
 
 Array = npt.NDArray[Any]
 
-COARSE, FINE = 128, 320  # cells along the atlas: to search the scale, and for the result
-# A fine grid wastes less: it is tried at growing multiples of the scale found on the coarse one.
-FINE_FACTORS = (1.01, 1.022)  # side by side, in processes of their own
+COARSE, FINE = 128, 320  # cells along the atlas; a fine grid wastes less and takes longer
+# Shares of the atlas to fill, two side by side in processes of their own: most heads stop between.
+USES = ((0.66, 0.685), (0.705, 0.725), (0.75, 0.78), (0.82, 0.86), (0.9, 0.94))
+# What fills less is searched on the coarse grid, then at these multiples of the scale found there.
+COARSE_STEP, COARSE_TRIALS = 1.0 / 1.03, 60
+FINE_FACTORS = (1.015, 1.03)
 SUBCELLS = 4  # charts are drawn this much finer than the grid, so that padding is not rounded up
 REACH = 1.0 / 60.0  # of the side; nearer than this is touching
-FIRST_USE, COARSE_STEP, COARSE_TRIALS = 0.66, 1.03, 60
 MAX_CHARTS = 400  # beyond this the search takes too long, and shelves do no worse
 
 
@@ -83,33 +85,31 @@ def _smallest_rectangle(points: Array) -> float:
 
 
 def _largest(chart: Array, upright: Array, padding: float) -> Placed:
-    """The largest scale that fits: steps on the coarse grid, then finer ones on the fine one."""
+    """The charts placed at the largest scale tried that fits."""
     e1, e2 = upright[:, 1] - upright[:, 0], upright[:, 2] - upright[:, 0]
     area = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]).sum()
     extent = float(upright.max())
     largest = min(np.sqrt(0.95 / area), 0.999 / extent)
-    scale = min(np.sqrt(FIRST_USE / area), largest)
-    best = _place(chart, upright, scale, padding, COARSE)
-    # Up by a step as long as it fits, or down until it does: two or three trials for most heads.
-    step = COARSE_STEP if best is not None else 1.0 / COARSE_STEP
+
+    def tried(scales: Iterable[float]) -> list[Placed | None]:
+        return run([lambda s=s: _place(chart, upright, s, padding, FINE) for s in scales])  # type: ignore[misc]
+
+    best: Placed | None = None
+    for uses in USES:
+        low, high = tried(min(np.sqrt(use / area), largest) for use in uses)
+        best = high or low or best
+        if high is None or high.scale == largest:
+            break
+    if best is not None:
+        return best
+    scale = min(np.sqrt(USES[0][0] / area), largest)
     for _ in range(COARSE_TRIALS):
-        scale *= step
-        if scale > largest:
-            break
-        found = _place(chart, upright, scale, padding, COARSE)
-        best = found or best
-        if (found is None) == (step > 1.0):
-            break
-    if best is None:
-        raise ValueError("the charts do not fit into the atlas")
-    finer = run([_finer(chart, upright, best.scale * factor, padding) for factor in FINE_FACTORS])
-    return max([best, *(placed for placed in finer if placed)], key=lambda placed: placed.scale)
-
-
-def _finer(
-    chart: Array, upright: Array, scale: float, padding: float
-) -> Callable[[], Placed | None]:
-    return lambda: _place(chart, upright, scale, padding, FINE)
+        scale *= COARSE_STEP
+        best = _place(chart, upright, scale, padding, COARSE)
+        if best is not None:
+            low, high = tried(scale * factor for factor in FINE_FACTORS)
+            return high or low or best
+    raise ValueError("the charts do not fit into the atlas")
 
 
 def _place(chart: Array, upright: Array, scale: float, padding: float, cells: int) -> Placed | None:

@@ -55,6 +55,8 @@ NOTABLE_MM = 0.2  # a surface moved by more shows in a portrait's outline
 LOOSE_SHARE = 0.1  # pieces to a triangle
 # Health is looked at beside the cleaning, with a mesh of its own: not where memory is short.
 HEALTH_MAX_BYTES = 250_000_000
+# Above it the collapse and the raw surface take turns: at 20 M each needs some 9 GB.
+BESIDE_MAX_FACES = 8_000_000
 SIMPLIFIED_BYTES = 1_000_000  # a smaller file is hardly above any budget of triangles
 
 
@@ -155,6 +157,8 @@ def _shapes(
                 else None
             )
         )
+        if len(surface.faces) > BESIDE_MAX_FACES:
+            simple.result()
         with journal.stage("raw surface"):
             high = make_high(surface, prep.bake)
             # Needed later, and time now: the collapse still runs beside this.
