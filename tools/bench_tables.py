@@ -1,7 +1,8 @@
-"""Puts measured tables into docs/preparation.md: `python tools/bench_tables.py OUT/bench`.
+"""Puts measured tables into docs: `python tools/bench_tables.py OUT/bench`.
 
-OUT/bench holds prep.json and fidelity.json as `scanrender bench` wrote them; either may be missing.
-The page keeps what stands between its marks until it is given new figures.
+OUT/bench holds prep.json and fidelity.json, for docs/preparation.md, and render.json, for
+docs/rendering.md, as `scanrender bench` wrote them; each may be missing. A page keeps what stands
+between its marks until it is given new figures.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "preparation.md"
+DOCS = ROOT / "docs"
 
 Document = Mapping[str, Any]
 
@@ -39,6 +40,16 @@ def fidelity_blocks(document: Document) -> dict[str, str]:
 
     table = markdown(case_table(document["rows"], FIDELITY_LINES))
     return {"fidelity": f"{_machine(document)}\n\n{table}\n\n{_missed(document['rows'])}"}
+
+
+def render_blocks(document: Document) -> dict[str, str]:
+    from scanrender.measure.render_bench import render_tables
+    from scanrender.measure.tables import markdown
+
+    rows = document["rows"]
+    tables = [markdown(table) for table in render_tables(rows)]
+    device = f"{_machine(document)} GL: {rows[0]['renderer']}."
+    return {"render": "\n\n".join([device, *tables, _missed(rows)])}
 
 
 def _machine(document: Document) -> str:
@@ -69,14 +80,21 @@ def with_blocks(page: str, blocks: Mapping[str, str]) -> str:
     return page
 
 
+BLOCKS = {
+    "prep": ("preparation.md", prep_blocks),
+    "fidelity": ("preparation.md", fidelity_blocks),
+    "render": ("rendering.md", render_blocks),
+}
+
+
 def main(folder: Path) -> None:
-    page = PAGE.read_text(encoding="utf-8")
-    for name, blocks in (("prep", prep_blocks), ("fidelity", fidelity_blocks)):
+    for name, (page, blocks) in BLOCKS.items():
         file = folder / f"{name}.json"
         if file.exists():
-            page = with_blocks(page, blocks(json.loads(file.read_text(encoding="utf-8"))))
-            print(f"{file} -> {PAGE.relative_to(ROOT)}")
-    PAGE.write_text(page, encoding="utf-8")
+            text = (DOCS / page).read_text(encoding="utf-8")
+            filled = with_blocks(text, blocks(json.loads(file.read_text(encoding="utf-8"))))
+            (DOCS / page).write_text(filled, encoding="utf-8")
+            print(f"{file} -> docs/{page}")
 
 
 if __name__ == "__main__":

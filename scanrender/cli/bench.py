@@ -1,4 +1,4 @@
-"""`scanrender bench prep` and `scanrender bench fidelity`"""
+"""`scanrender bench prep`, `scanrender bench fidelity`, `scanrender bench render`"""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import click
 
 from scanrender.cli import options
 
-CASES = {"prep": "1m,head,chain", "fidelity": "noise_0,noise_0.1"}
+CASES = {"prep": "1m,head,chain", "fidelity": "noise_0,noise_0.1", "render": "all"}
 
 
 @click.command("bench")
@@ -18,7 +18,8 @@ CASES = {"prep": "1m,head,chain", "fidelity": "noise_0,noise_0.1"}
     "--cases",
     help="Which to run, separated by commas, or all. prep: small, 1m, head, chain, 5m, 20m, pages "
     f"[default: {CASES['prep']}]. fidelity: noise_0, noise_0.02, noise_0.05, noise_0.1, phantom "
-    f"[default: {CASES['fidelity']}].",
+    f"[default: {CASES['fidelity']}]. render: close, mid, far, empty"
+    " [default: all].",
 )
 @click.option(
     "--scans",
@@ -27,19 +28,39 @@ CASES = {"prep": "1m,head,chain", "fidelity": "noise_0,noise_0.1"}
     show_default=True,
     help="Folder of the real scans; cases that need one fail without it.",
 )
+@click.option(
+    "--asset",
+    type=click.Path(path_type=Path),
+    help="render: a prepared folder, instead of our own head with 50 k triangles.",
+)
+@click.option(
+    "--repeats",
+    type=click.IntRange(1, 1000),
+    default=5,
+    show_default=True,
+    help="render: frames of which the median counts.",
+)
 @click.option("--plain", is_flag=True, help="prep: beside each stage, time a plain library call.")
 @options.out("out/bench")
 @options.as_json
 @options.debug
 def command(
-    target: str, cases: str | None, scans: Path, plain: bool, out: Path, as_json: bool
+    target: str,
+    cases: str | None,
+    scans: Path,
+    asset: Path | None,
+    repeats: int,
+    plain: bool,
+    out: Path,
+    as_json: bool,
 ) -> None:
     """Measure TARGET.
 
     prep: seconds and memory of each stage. fidelity: what 50 k triangles lose of a dense scan, in
-    shape, colour and picture. A table, OUT/TARGET.json and OUT/TARGET.csv; pictures in OUT.
+    shape, colour and picture. render: milliseconds of a 1080p frame by method and by pass. A table,
+    OUT/TARGET.json and OUT/TARGET.csv; pictures in OUT.
     """
-    from scanrender.measure import fidelity, prep_bench
+    from scanrender.measure import fidelity, prep_bench, render_bench
     from scanrender.measure.limits import missed_limits
 
     chosen = cases or CASES[target]
@@ -50,6 +71,10 @@ def command(
     if target == "prep":
         rows = prep_bench.bench_prep(prep_bench.case_list(chosen), out, scans, say, plain)
         table = prep_bench.table_text(rows)
+    elif target == "render":
+        views = render_bench.view_list(chosen)
+        rows = render_bench.bench_render(views, out, say, asset, repeats)
+        table = render_bench.render_text(rows)
     else:
         rows = fidelity.bench_fidelity(fidelity.fidelity_list(chosen), out, scans, say)
         table = fidelity.fidelity_text(rows)

@@ -41,3 +41,14 @@ def test_tables_take_their_places_in_the_page(tool):
 def test_a_page_without_marks_is_refused(tool):
     with pytest.raises(ValueError, match="no mark"):
         tool.with_blocks("# A page\n", {"cases": "x"})
+
+
+def test_milliseconds_take_their_place_in_the_page(tool):
+    page = (ROOT / "docs" / "rendering.md").read_text(encoding="utf-8")
+    row = {"case": "close: gaussian_sum", "view": "close", "way": "gaussian_sum"}
+    row |= {"frame_ms": 6001.2, "passes_ms": {}, "covered_mpx": 0.5, "renderer": "a driver"}
+    row |= {"limits": {"frame_ms": ["<=", 6000.0]}}
+    filled = tool.with_blocks(page, tool.render_blocks({**document(), "rows": [row]}))
+    assert "| gaussian_sum | 6,001 |" in filled
+    assert "Over its limit: close: gaussian_sum: frame_ms is 6001, the limit is <= 6000." in filled
+    assert "GL: a driver." in filled
