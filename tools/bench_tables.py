@@ -1,8 +1,8 @@
 """Puts measured tables into docs: `python tools/bench_tables.py OUT/bench`.
 
-OUT/bench holds prep.json and fidelity.json, for docs/preparation.md, and render.json, for
-docs/rendering.md, as `scanrender bench` wrote them; each may be missing. A page keeps what stands
-between its marks until it is given new figures.
+OUT/bench holds prep.json and fidelity.json, for docs/preparation.md, render.json and flicker.json,
+for docs/rendering.md, as `scanrender bench` wrote them; each may be missing. A page keeps what
+stands between its marks until it is given new figures.
 """
 
 from __future__ import annotations
@@ -52,6 +52,13 @@ def render_blocks(document: Document) -> dict[str, str]:
     return {"render": "\n\n".join([device, *tables, _missed(rows)])}
 
 
+def flicker_blocks(document: Document) -> dict[str, str]:
+    from scanrender.measure.flicker import LINES
+    from scanrender.measure.tables import case_table, markdown
+
+    return {"flicker": markdown(case_table(document["rows"], LINES))}
+
+
 def _machine(document: Document) -> str:
     machine = document["machine"]
     load = machine["load"]
@@ -84,6 +91,7 @@ BLOCKS = {
     "prep": ("preparation.md", prep_blocks),
     "fidelity": ("preparation.md", fidelity_blocks),
     "render": ("rendering.md", render_blocks),
+    "flicker": ("rendering.md", flicker_blocks),
 }
 
 

@@ -1,4 +1,4 @@
-"""`scanrender bench prep`, `scanrender bench fidelity`, `scanrender bench render`"""
+"""`scanrender bench prep`, `bench fidelity`, `bench render` and `bench flicker`"""
 
 from __future__ import annotations
 
@@ -9,7 +9,12 @@ import click
 
 from scanrender.cli import options
 
-CASES = {"prep": "1m,head,chain", "fidelity": "noise_0,noise_0.1", "render": "all"}
+CASES = {
+    "prep": "1m,head,chain",
+    "fidelity": "noise_0,noise_0.1",
+    "render": "all",
+    "flicker": "none,gaussian_sum",
+}
 
 
 @click.command("bench")
@@ -18,8 +23,9 @@ CASES = {"prep": "1m,head,chain", "fidelity": "noise_0,noise_0.1", "render": "al
     "--cases",
     help="Which to run, separated by commas, or all. prep: small, 1m, head, chain, 5m, 20m, pages "
     f"[default: {CASES['prep']}]. fidelity: noise_0, noise_0.02, noise_0.05, noise_0.1, phantom "
-    f"[default: {CASES['fidelity']}]. render: close, mid, far, empty"
-    " [default: all].",
+    f"[default: {CASES['fidelity']}]. render: close, mid, far, empty "
+    "[default: all]. flicker: none, gaussian_sum, separable_preintegrated, jitter "
+    f"[default: {CASES['flicker']}].",
 )
 @click.option(
     "--scans",
@@ -31,7 +37,7 @@ CASES = {"prep": "1m,head,chain", "fidelity": "noise_0,noise_0.1", "render": "al
 @click.option(
     "--asset",
     type=click.Path(path_type=Path),
-    help="render: a prepared folder, instead of our own head with 50 k triangles.",
+    help="render, flicker: a prepared folder, instead of our own head with 50 k triangles.",
 )
 @click.option(
     "--repeats",
@@ -57,10 +63,11 @@ def command(
     """Measure TARGET.
 
     prep: seconds and memory of each stage. fidelity: what 50 k triangles lose of a dense scan, in
-    shape, colour and picture. render: milliseconds of a 1080p frame by method and by pass. A table,
-    OUT/TARGET.json and OUT/TARGET.csv; pictures in OUT.
+    shape, colour and picture. render: milliseconds of a 1080p frame by method and by pass.
+    flicker: what changes on the same point of the skin from frame to frame of the turntable. A
+    table, OUT/TARGET.json and OUT/TARGET.csv; pictures in OUT.
     """
-    from scanrender.measure import fidelity, prep_bench, render_bench
+    from scanrender.measure import fidelity, flicker, prep_bench, render_bench
     from scanrender.measure.limits import missed_limits
 
     chosen = cases or CASES[target]
@@ -75,6 +82,9 @@ def command(
         views = render_bench.view_list(chosen)
         rows = render_bench.bench_render(views, out, say, asset, repeats)
         table = render_bench.render_text(rows)
+    elif target == "flicker":
+        rows = flicker.bench_flicker(flicker.way_list(chosen), out, say, asset)
+        table = flicker.flicker_text(rows)
     else:
         rows = fidelity.bench_fidelity(fidelity.fidelity_list(chosen), out, scans, say)
         table = fidelity.fidelity_text(rows)

@@ -17,26 +17,19 @@ from typing import Any
 from scanrender.asset import Asset, load_asset
 from scanrender.errors import UsageError
 from scanrender.files import make_folder
-from scanrender.measure import prep_inputs, tables
+from scanrender.measure import tables
 from scanrender.measure.limits import Limits
+from scanrender.measure.own_head import own_head
 from scanrender.measure.prep_bench import write_rows
 from scanrender.render.device import Device, device
 from scanrender.render.frame import Renderer
-from scanrender.scan.prepare import prepare
 from scanrender.settings.loading import load_pipeline
-from scanrender.settings.prep import PrepSettings
-from scanrender.settings.scan import ScanSettings
 
 HEAD_MM = 227.0  # chin to crown
 # The share of the picture's height that it fills; `empty` looks past it: what a frame costs anyway.
 VIEWS = {"close": 0.9, "mid": 0.45, "far": 0.15, "empty": 0.9}
 PAST_MM = 1000.0
 REPEATS = 5  # of which the median counts
-PREPARED: Mapping[str, Any] = {
-    "simplify": {"triangles": 50_000},
-    "bake": {"albedo_px": 4096, "normal_px": 4096, "data_px": 1024},
-    "report": "short",
-}
 
 
 @dataclass(frozen=True)
@@ -86,10 +79,10 @@ def bench_render(
     """One row a view and way; writes OUT/render.json and OUT/render.csv.
 
     asset: a prepared folder; without it our own head, 1.1 M to 50 k triangles, prepared once into
-    OUT/assets/render. `overrides` change the shot. Raises ScanrenderError's kinds.
+    OUT/assets/own_head. `overrides` change the shot. Raises ScanrenderError's kinds.
     """
     make_folder(out)
-    loaded = load_asset(asset or _own_head(out, say))
+    loaded = load_asset(asset or own_head(out, say))
     gl = device()
     rows: list[dict[str, Any]] = []
     for view in views:
@@ -100,18 +93,6 @@ def bench_render(
             say(f"{rows[-1]['case']}: {rows[-1]['frame_ms']:.0f} ms")
             write_rows(out, "render", rows)
     return rows
-
-
-def _own_head(out: Path, say: Callable[[str], None]) -> Path:
-    folder = out / "assets" / "render"
-    if not folder.exists():
-        say("render: preparing our own head")
-        scan = out / "inputs" / "phantom_1100k.ply"
-        if not scan.exists():
-            prep_inputs.phantom_scan(scan, 1_100_000)
-        settings = PrepSettings.model_validate(PREPARED)
-        prepare(scan, ScanSettings(), settings, folder, maps=())
-    return folder
 
 
 def _row(
