@@ -24,6 +24,7 @@ CAMERAS: dict[str, Any] = {
     "fov 10": {"focal_mm": 137.0},
     "fov 33": {"focal_mm": 40.0},
     "fov 90": {"focal_mm": 12.0},
+    "orthographic": {"projection": "orthographic"},
     "aspect 1:2": {"height_px": 320},
     "aspect 21:9": {"width_px": 322, "height_px": 138},
 }
