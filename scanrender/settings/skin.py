@@ -153,7 +153,7 @@ class DiffusionSettings(Section):
         unit="",
     )
     edge_contrast: float = setting(
-        10.0,
+        3.0,
         "c of the cross bilateral filters: a tap counts exp(-c |E_p - E_q|), with E albedo times "
         "a ratio of cosines. A huge one stops leaks by stopping scattering.",
         unit="1",

@@ -142,9 +142,9 @@ float beyond_mm2(ivec2 texel, float steps, float flat_mm2) {
     vec3 d = view_point(vec2(texel) + 0.5, z) - centre_point;
     return dot(d, d) - flat_mm2;
 #else
-    // From the surface's own slope: turned skin is no step. Up to 63 deg, so that the last pixels
+    // From the surface's own slope: turned skin is no step. Up to 45 deg, so that the last pixels
     // before a silhouette do not take what lies behind for their own surface.
-    float slope = clamp(-surface_step.z, -2.0 * mm_per_px, 2.0 * mm_per_px);
+    float slope = clamp(-surface_step.z, -mm_per_px, mm_per_px);
     float dz = z - centre_z - slope * steps;
     return dz * dz;
 #endif
