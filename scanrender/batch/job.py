@@ -120,22 +120,31 @@ def _render(
     frames: Sequence[int] | None,
     result: Result,
 ) -> dict[str, Any]:
+    from scanrender.batch.figure import write_figure
     from scanrender.render.device import device
     from scanrender.render.frame import Renderer
-    from scanrender.render.view import describe
 
     started = time.perf_counter()
+    if pipeline.figure.panels:
+        result.files += write_figure(device(), asset, pipeline, folder, result.name, progress)
+        result.stages["render"] = time.perf_counter() - started
+        return _gl(device(), pipeline)
     renderer = Renderer(device(), asset, pipeline)
     result.stages["upload"] = time.perf_counter() - started
     written = write_turntable(renderer, folder, result.name, progress, frames)
     result.files += written.files
     result.stages.update(written.seconds)
     result.decisions += [f"{d.what}: {d.reason}" for d in renderer.decisions]
-    gl = renderer.device
+    return _gl(renderer.device, pipeline)
+
+
+def _gl(device: Any, pipeline: Pipeline) -> dict[str, Any]:
+    from scanrender.render.view import describe
+
     return {
-        "renderer": gl.renderer,
-        "version": gl.version,
-        "vendor": gl.vendor,
+        "renderer": device.renderer,
+        "version": device.version,
+        "vendor": device.vendor,
         "view": describe(pipeline.view),
     }
 

@@ -1,0 +1,107 @@
+"""What is measured on the panels of a figure: each number of a panel, some against the first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from scanrender.buffers import Frame
+from scanrender.metrics import delta_e_2000_linear, energy_ratio
+
+Array = npt.NDArray[Any]
+Mask = npt.NDArray[np.bool_]
+
+DETAIL_PX = 2.0  # Gaussian below which a structure counts as high frequency
+BORDER_PX = 3  # a border's band, to either side
+
+
+def measure(
+    frames: Sequence[Frame], shown: Sequence[str], numbers: Sequence[str]
+) -> list[dict[str, Any]]:
+    """One dict of numbers a panel; `shown` names the buffer that it shows."""
+    first = frames[0]
+    return [
+        {name: NUMBERS[name](frame, first, show) for name in numbers}
+        for frame, show in zip(frames, shown, strict=True)
+    ]
+
+
+def black_pixels(frame: Frame, first: Frame, shown: str) -> int:
+    """Pixels inside the subject that are black to the last bit in the picture, or not finite."""
+    beauty = frame.buffers["beauty"]
+    inside = ndimage.binary_erosion(frame.alpha >= 1.0, iterations=1)
+    dark = ~np.isfinite(beauty).all(axis=2) | (beauty.max(axis=2) <= 0.0)
+    return int((dark & inside).sum())
+
+
+def delta_e(frame: Frame, first: Frame, shown: str) -> dict[str, float]:
+    """dE2000 of the scene-linear picture against the first panel's, over the subject."""
+    mask = _subject(frame, first)
+    error = delta_e_2000_linear(frame.buffers["beauty"], first.buffers["beauty"])[mask]
+    if not error.size:
+        return {"mean": 0.0, "p95": 0.0, "max": 0.0}
+    p95 = float(np.percentile(error, 95))
+    return {"mean": float(error.mean()), "p95": p95, "max": float(error.max())}
+
+
+def energy(frame: Frame, first: Frame, shown: str) -> list[float]:
+    """Light per channel over the subject, as a share of the first panel's."""
+    mask = _subject(frame, first)
+    ratio = energy_ratio(frame.buffers["beauty"], first.buffers["beauty"], mask)
+    return [float(value) for value in ratio]
+
+
+def high_frequency(frame: Frame, first: Frame, shown: str) -> float:
+    """Root mean square of what the shown buffer has below DETAIL_PX, inside the subject."""
+    values = frame.buffers[shown].astype(np.float64)
+    if values.ndim == 2:
+        values = values[:, :, None]
+    inside = frame.alpha >= 1.0
+    weight = ndimage.gaussian_filter(inside.astype(np.float64), DETAIL_PX)
+    total = 0.0
+    deep = ndimage.binary_erosion(inside, iterations=BORDER_PX)
+    for channel in range(values.shape[2]):
+        plane = np.where(inside, np.nan_to_num(values[:, :, channel]), 0.0)
+        smooth = ndimage.gaussian_filter(plane, DETAIL_PX) / np.maximum(weight, 1e-9)
+        total += float(((plane - smooth)[deep] ** 2).mean()) if deep.any() else 0.0
+    return float(np.sqrt(total))
+
+
+def border_contrast(frame: Frame, first: Frame, shown: str) -> dict[str, float]:
+    """Mean gradient of the diffuse light's luminance at the skin map's borders and away from them,
+    1/px: what a limit keeps sharp, and what it must leave soft."""
+    luminance = frame.buffers["diffuse"] @ np.array([0.2126, 0.7152, 0.0722])
+    gradient = np.hypot(*np.gradient(luminance))
+    skin = frame.buffers["skin"]
+    skin = skin[:, :, 0] if skin.ndim == 3 else skin
+    inside = ndimage.binary_erosion(frame.alpha >= 1.0, iterations=2 * BORDER_PX)
+    border = _near(skin > 0.5) & inside
+    smooth = inside & ~ndimage.binary_dilation(border, iterations=2 * BORDER_PX)
+    return {
+        "at_borders": float(gradient[border].mean()) if border.any() else 0.0,
+        "elsewhere": float(gradient[smooth].mean()) if smooth.any() else 0.0,
+    }
+
+
+def _near(mask: Mask) -> Mask:
+    grown = ndimage.binary_dilation(mask, iterations=BORDER_PX)
+    return np.asarray(grown & ~ndimage.binary_erosion(mask, iterations=BORDER_PX, border_value=1))
+
+
+def _subject(frame: Frame, first: Frame) -> Mask:
+    return np.asarray((frame.alpha > 0.5) & (first.alpha > 0.5))
+
+
+NUMBERS: dict[str, Callable[[Frame, Frame, str], Any]] = {
+    "black_pixels": black_pixels,
+    "delta_e": delta_e,
+    "energy_ratio": energy,
+    "high_frequency": high_frequency,
+    "border_contrast": border_contrast,
+}
+# Buffers that a number reads besides the picture.
+NEEDS = {"border_contrast": ("diffuse", "skin")}
