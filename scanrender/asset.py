@@ -8,6 +8,7 @@ On disk an asset is one folder that other tools read too:
     normal_geometry.exr  object space, no detail map      curvature.exr   mean curvature, 1/mm
     ao.exr               ambient visibility in [0, 1]     thickness_mm.exr
     skin.exr             probability of skin in [0, 1]    asset.json      `info`, see below
+    lod1.glb, lod2.glb   coarser meshes on the same maps, where they were asked for
     prep_report.json, prep_sheet.png                      what was done and lost, for people
 
 UV origin is glTF's: (0, 0) is the top left corner of the first texel row.
@@ -17,7 +18,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,6 +35,7 @@ FloatArray = npt.NDArray[np.float32]
 FORMAT_VERSION = 1
 # Beside the asset's own files, for people; `load_asset` does not read them.
 PREP_REPORT, PREP_SHEET, PREP_VIEWS = "prep_report.json", "prep_sheet.png", "prep_views.npz"
+LOD_FILE = "lod{}.glb"
 METRES_PER_MM = 0.001
 
 
@@ -82,12 +84,14 @@ class Asset:
 
     `info` is plain JSON data: `source` (file, hash), `units` (mm_per_unit, reason, confidence),
     `raw_from_asset` (4x4, float64 as nested lists), `counts`, `stages` (name, seconds, notes),
-    `lost` (errors against the raw scan), `warnings` (sentences).
+    `lost` (errors against the raw scan), `warnings` (sentences), and for each of `lods` its
+    triangles and error_mm. `lods` are coarser meshes that use the same maps, finest first.
     """
 
     mesh: Mesh
     maps: Mapping[str, images.Image]
     info: Mapping[str, Any] = field(default_factory=dict)
+    lods: Sequence[Mesh] = ()
 
 
 def check_replaceable(folder: Path | str) -> None:
@@ -113,9 +117,12 @@ def save_asset(asset: Asset, folder: Path | str) -> Path:
     with atomic_folder(folder) as temporary:
         with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:  # zlib takes most of the time
             list(pool.map(lambda item: _write_map(temporary, *item), asset.maps.items()))
-        _write_glb(temporary / "mesh.glb", asset)
+        _write_glb(temporary / "mesh.glb", asset.mesh, asset.maps)
+        for number, lod in enumerate(asset.lods, 1):
+            _write_glb(temporary / LOD_FILE.format(number), lod, asset.maps)
         document = {"format": FORMAT_VERSION, "scanrender": __version__, **asset.info}
         document["maps"] = {name: MAPS[name].file for name in asset.maps}
+        document["lods"] = _listed_lods(asset)
         write_json(temporary / "asset.json", document)
     return folder
 
@@ -145,12 +152,31 @@ def load_asset(folder: Path | str, maps: Collection[str] | None = None) -> Asset
     listed = info.get("maps")
     if not isinstance(listed, dict) or not set(listed) <= set(MAPS):
         raise ScanError("the asset does not list its maps", str(description), "prepare it again")
+    levels = info.get("lods", [])
+    if not isinstance(levels, list):
+        raise ScanError("the asset does not list its lods", str(description), "prepare it again")
     wanted = [name for name in listed if maps is None or name in maps]
     return Asset(
         mesh=_read_glb(folder / "mesh.glb"),
         maps={name: _read_map(folder, name) for name in wanted},
         info=info,
+        lods=tuple(
+            _read_glb(folder / LOD_FILE.format(number)) for number in range(1, 1 + len(levels))
+        ),
     )
+
+
+def _listed_lods(asset: Asset) -> list[dict[str, Any]]:
+    """Each level with its file and what `info` says of it."""
+    said = asset.info.get("lods", ())
+    return [
+        {
+            **(said[i] if i < len(said) else {}),
+            "file": LOD_FILE.format(i + 1),
+            "triangles": len(lod.faces),
+        }
+        for i, lod in enumerate(asset.lods)
+    ]
 
 
 def _write_map(folder: Path, name: str, pixels: images.Image) -> None:
@@ -184,10 +210,9 @@ def _read_map(folder: Path, name: str) -> images.Image:
     return pixels
 
 
-def _write_glb(path: Path, asset: Asset) -> None:
+def _write_glb(path: Path, mesh: Mesh, maps: Mapping[str, images.Image]) -> None:
     import pygltflib as gltf
 
-    mesh = asset.mesh
     low, high = mesh.bounds_mm
     arrays = [
         (mesh.positions_mm, gltf.VEC3, gltf.FLOAT, gltf.ARRAY_BUFFER),
@@ -210,7 +235,7 @@ def _write_glb(path: Path, asset: Asset) -> None:
         blob += data
     document.accessors[0].min, document.accessors[0].max = low.tolist(), high.tolist()
     document.buffers = [gltf.Buffer(byteLength=len(blob))]
-    material = _gltf_material(gltf, document, asset.maps)
+    material = _gltf_material(gltf, document, maps)
     attributes = gltf.Attributes(POSITION=0, NORMAL=1, TANGENT=2, TEXCOORD_0=3)
     primitive = gltf.Primitive(attributes=attributes, indices=4, material=material)
     document.meshes = [gltf.Mesh(primitives=[primitive], name="skin")]

@@ -23,6 +23,8 @@ Image = npt.NDArray[np.float32]
 # decoding it. 32768^2 is twice the largest atlas that photogrammetry tools export (16 K).
 MAX_PIXELS = 32768 * 32768
 MAX_STORED_BYTES = 4 << 30
+_IMAGE_AGAIN = "export the image again, or remove it and what names it"
+_TIFF_LAB = (8, 9, 10)
 
 
 def srgb_from_linear(linear: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -71,9 +73,12 @@ def read_colors(path: Path | str, name: str | None = None) -> npt.NDArray[Any]:
     keep.attribute("oiio:UnassociatedAlpha", 1)
     source = oiio.ImageInput.open(str(path), keep)
     if source is None:
-        raise ScanError(f"cannot read image {called}: {_first_line(oiio.geterror())}", str(path))
+        said = _first_line(oiio.geterror()).replace(f' "{path}"', "")
+        raise ScanError(f"cannot read image {called}: {said}", str(path), _IMAGE_AGAIN)
     try:
         spec = source.spec()
+        if spec.get_int_attribute("tiff:PhotometricInterpretation", 2) in _TIFF_LAB:
+            raise ScanError(f"image {called} is in CIE Lab", str(path), "convert it to sRGB")
         dtype = {"uint8": np.uint8, "uint16": np.uint16}.get(str(spec.format), np.float32)
         channels = min(spec.nchannels, 3) if spec.nchannels >= 3 else 1
         size = spec.width * spec.height * channels * np.dtype(dtype).itemsize
@@ -87,7 +92,7 @@ def read_colors(path: Path | str, name: str | None = None) -> npt.NDArray[Any]:
         pixels = source.read_image(0, 0, 0, channels, kind)
         if pixels is None:
             said = _first_line(source.geterror())
-            raise ScanError(f"cannot decode image {called}: {said}", str(path), "export it again")
+            raise ScanError(f"cannot decode image {called}: {said}", str(path), _IMAGE_AGAIN)
     finally:
         source.close()
     pixels = np.asarray(pixels, dtype).reshape(spec.height, spec.width, channels)

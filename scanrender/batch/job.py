@@ -25,7 +25,7 @@ from scanrender.settings.loading import resolved_yaml
 from scanrender.settings.pipeline import Pipeline
 
 # The maps that some pass of today's renderer reads.
-RENDERED_MAPS = ("albedo", "normal_ts", "ao", "skin")
+RENDERED_MAPS = ("albedo", "normal_ts", "ao", "skin", "curvature", "thickness_mm")
 
 
 @dataclass

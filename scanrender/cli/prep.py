@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -58,7 +60,32 @@ def command(
     size = " x ".join(f"{side:.0f}" for side in high - low)
     maps = ", ".join(asset.info["maps"])
     click.echo(f"{out}/: {len(asset.mesh.faces):,} triangles, {size} mm, maps: {maps}")
+    for sentence in _what_was_done(asset.info["stages"]):
+        click.echo(f"  {sentence}")
     if sheet is not None:
         click.echo(f"  what was done and lost: {sheet}")
     for sentence in asset.info.get("warnings", []):
         click.echo(f"  warning: {sentence}")
+
+
+def _what_was_done(stages: Iterable[Mapping[str, Any]]) -> Iterator[str]:
+    """The cleaning steps that changed something, and what stopped the simplification."""
+    notes = {stage["name"]: stage["notes"] for stage in stages}
+    changes = []
+    for step in notes.get("clean", {}).get("steps", ()):
+        counts = [
+            f"{kind} {before:,} → {after:,}"
+            for kind in ("faces", "vertices")
+            for before, after in (step[kind],)
+            if before != after
+        ]
+        others = [
+            f"{count:,} {key.replace('_', ' ')}"
+            for key, count in step.items()
+            if isinstance(count, int) and count
+        ]
+        if counts or others:
+            changes.append(f"{step['step']}: {', '.join(counts + others)}")
+    yield f"cleaned: {'; '.join(changes) or 'nothing to do'}"
+    if "stopped_by" in notes.get("simplify", {}):
+        yield f"simplified: {notes['simplify']['stopped_by']}"

@@ -44,7 +44,7 @@ def dense_head_scan(path: Path, scans: Path, levels: int = 3) -> Path:
     scale = REAL_HEAD_MM / float(np.ptp(raw.positions[np.unique(raw.faces)], axis=0)[1])
     positions, faces, colors = _welded(raw, scale)
     for _ in range(levels):
-        positions, faces, colors = _rounded_split(positions, faces, colors)
+        positions, faces, colors = rounded_split(positions, faces, colors)
     normals = vertex_normals(positions, faces)
     for number, (spacing, deviation) in enumerate(RELIEF):
         positions = positions + (deviation * noise(positions, spacing, number))[:, None] * normals
@@ -84,7 +84,7 @@ def _welded(raw: RawMesh, scale: float) -> tuple[Array, Array, Array]:
     return unique * scale, faces[solid], colors
 
 
-def _rounded_split(positions: Array, faces: Array, colors: Array) -> tuple[Array, Array, Array]:
+def rounded_split(positions: Array, faces: Array, colors: Array) -> tuple[Array, Array, Array]:
     """Each triangle into four, then each vertex a quarter of the way to its neighbours' mean: the
     facets of the coarse mesh become curved."""
     edges = edges_of(faces)

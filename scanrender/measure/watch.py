@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 PROC = Path("/proc")
+SUDDEN, AGAIN_S = 1.1, 0.02
 
 
 @dataclass(frozen=True)
@@ -28,12 +29,13 @@ class Watch:
 
     Memory is the proportional set size, so that pages shared between processes count once. It is
     sampled: a peak shorter than `interval_s` may be missed, which peak_child_mib (kept by the
-    kernel, over the life of this process) bounds from below.
+    kernel, over the life of this process) bounds from below. A sudden rise is looked at twice:
+    between vfork and exec a child is counted with all of its parent's memory.
     """
 
     def __init__(self, interval_s: float = 0.1) -> None:
         self.interval_s = interval_s
-        self.peak_kib: int | None = None
+        self.samples: list[tuple[float, int]] = []  # time.perf_counter() and KiB
         self.usage = Usage(0.0, 0.0, None, 0)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._poll, daemon=True)
@@ -48,14 +50,24 @@ class Watch:
         self._stop.set()
         self._thread.join()
         cpu, largest = _children()
-        peak = None if self.peak_kib is None else self.peak_kib // 1024
+        peak = self.peak_mib(self._start, self._start + seconds)
         self.usage = Usage(seconds, cpu - self._cpu, peak, largest)
+
+    def peak_mib(self, start: float, stop: float) -> int | None:
+        """Peak between two moments of time.perf_counter(); None when nothing was sampled."""
+        # Nothing may fall between the samples of a short stage: the next one after it counts too.
+        near = [kib for at, kib in self.samples if start <= at <= stop + self.interval_s]
+        return max(near) // 1024 if near else None
 
     def _poll(self) -> None:
         while True:
             now = tree_kib(os.getpid())
+            known = self.samples[-1][1] if self.samples else 0
+            if now is not None and now > SUDDEN * known:
+                time.sleep(AGAIN_S)
+                now = min(now, tree_kib(os.getpid()) or now)
             if now is not None:
-                self.peak_kib = max(now, self.peak_kib or 0)
+                self.samples.append((time.perf_counter(), now))
             if self._stop.wait(self.interval_s):
                 return
 

@@ -18,6 +18,8 @@ _UfuncOfOne: TypeAlias = Callable[[Array], Array]
 erf = cast(_UfuncOfOne, special.erf)
 erfc = cast(_UfuncOfOne, special.erfc)
 bessel_k0 = cast(_UfuncOfOne, special.k0)
+#: e^{-x} I_n(x) of order n and x, broadcast.
+scaled_bessel_i = cast(Callable[[Array, Array], Array], special.ive)
 _integrals_of_i0_and_k0 = cast(Callable[[Array], tuple[Array, Array]], special.iti0k0)
 
 

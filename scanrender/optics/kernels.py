@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.errors import ConfigError
-from scanrender.optics._math import Array, as_array, erf, erfc
+from scanrender.optics._math import Array, as_array, erf, erfc, scaled_bessel_i
 from scanrender.optics.profiles import DiffusionProfile
 from scanrender.optics.profiles._checks import MAX_LENGTH_MM, MIN_LENGTH_MM, checked_rgb
 
@@ -50,10 +50,12 @@ class SeparableTaps:
     """One pass of a separable kernel: ``offsets_mm`` (n,) ascending, ``weights`` (n, 3).
 
     Weights are linear Rec.709, and each column sums to 1. Run once along x, once along y.
+    ``cell_mm`` (n,) is how far a tap may be moved within its cell, to either side alike.
     """
 
     offsets_mm: Array
     weights: Array
+    cell_mm: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +104,70 @@ def gaussian_taps(samples: int, extent_sigma: float = 3.0) -> Taps1D:
     weights /= math.fsum(weights)
     offsets /= math.sqrt(math.fsum(weights * np.square(offsets)))
     return Taps1D(_frozen(offsets), _frozen(weights))
+
+
+def footprint_taps(
+    sigma_px: npt.ArrayLike, radius_px: int, shift_px: float = 0.0, samples: int = 1
+) -> Array:
+    """Return integer taps (m, 2 radius + 1) of Gaussians ``sigma_px`` (m,) >= 0, seen by pixels.
+
+    A pixel shows the mean over its footprint, and each of its ``samples`` along a direction stands
+    for a cell of 1 / samples px. The tap at j is therefore (box_1 * box_{1/samples} * G) at
+    j + ``shift_px``, the sample's place in the pixel, -0.5 to 0.5: over all samples the sum is the
+    pixel's mean of the blurred light exactly, at any width, for steps between cells. Wide Gaussians
+    tend to G, and at sigma 0 this is the identity. What lies beyond ``radius_px`` (1 to 64) counts
+    at the ends, so that each row sums to 1. Raises ConfigError out of these ranges.
+    """
+    sigma = as_array(sigma_px).reshape(-1, 1)
+    if not (bool(np.all(sigma >= 0.0)) and 1 <= radius_px <= 64 and samples >= 1):
+        raise ConfigError("needs sigma_px >= 0, radius_px 1 to 64, samples >= 1", "sigma_px")
+    cell = 1.0 / samples
+    x = np.arange(-radius_px, radius_px, dtype=np.float64) + 0.5 + shift_px
+
+    # The CDF between taps: the box of a pixel sums to a step, so what is left is box_cell * G.
+    def integral(at: Array) -> Array:
+        """Twice integrated Gaussian, x Phi(x / sigma) + sigma phi(x / sigma); max(x, 0) at 0."""
+        u = at / np.maximum(sigma, 1e-12)
+        density = np.exp(-0.5 * np.square(u)) / math.sqrt(2.0 * math.pi)
+        return np.asarray(at * 0.5 * erfc(-u / math.sqrt(2.0)) + sigma * density)
+
+    cumulative = (integral(x + 0.5 * cell) - integral(x - 0.5 * cell)) / cell
+    return _folded(cumulative)
+
+
+def discrete_gaussian_taps(sigma_px: npt.ArrayLike, radius_px: int) -> Array:
+    """Return integer taps (m, 2 radius + 1) that blur by the variances ``sigma_px`` (m,)^2 exactly.
+
+    T(j, v) = e^{-v} I_j(v), the discrete analogue of the Gaussian (Lindeberg 1990, "Scale-space
+    for discrete signals"): variance v at any width, T(v1) * T(v2) = T(v1 + v2), the identity at 0.
+    A sampled Gaussian has neither below a pixel. Ends as in ``footprint_taps``.
+    """
+    sigma = as_array(sigma_px).reshape(-1, 1)
+    if not (bool(np.all(sigma >= 0.0)) and 1 <= radius_px <= 64):
+        raise ConfigError("needs sigma_px >= 0 and radius_px 1 to 64", "sigma_px")
+    order = np.arange(-radius_px, radius_px + 1, dtype=np.float64)
+    weights = scaled_bessel_i(np.abs(order)[None], np.square(sigma))
+    lost = 1.0 - weights.sum(axis=1)
+    weights[:, 0] += 0.5 * lost
+    weights[:, -1] += 0.5 * lost
+    return weights
+
+
+def falloff_per_mm2(profile: DiffusionProfile, offsets_mm: npt.ArrayLike) -> Array:
+    """Return q (n, 3) so that a(sqrt(x^2 + z^2)) is near a(x) exp(-q z^2), a the line marginal.
+
+    q = -a'(x) / (2 x a(x)), 1/mm^2: exact for one Gaussian (1 / 2v), exact to first order in z^2
+    for every profile. At x = 0 it is taken a thousandth of the profile's width away. What lets a
+    separable kernel see depth in mm, with no scale constant.
+    """
+    widths = np.asarray(profile.radius_for(0.5))
+    x = np.maximum(np.abs(as_array(offsets_mm))[:, None], 1e-3 * widths.min())
+    result = np.empty((len(x), 3))
+    for row, at in enumerate(x[:, 0]):
+        near, here, far = (profile.line_marginal(at * f) for f in (0.999, 1.0, 1.001))
+        slope = (np.asarray(far) - np.asarray(near)) / (0.002 * at)
+        result[row] = -slope / (2.0 * at * np.maximum(np.asarray(here), 1e-300))
+    return np.maximum(result, 0.0)
 
 
 def separable_preintegrated(
@@ -196,7 +262,16 @@ def _cells(offsets_mm: Array, cumulative: Array) -> SeparableTaps:
     weights = np.diff(np.concatenate((ends[0], cumulative.reshape(-1, 3), ends[1])), axis=0)
     # the profile is even; make the taps so to the last bit, or a mirrored face differs
     weights = 0.5 * (weights + weights[::-1])
-    return SeparableTaps(_frozen(offsets_mm), _frozen(weights))
+    half_gaps = 0.5 * np.diff(offsets_mm)
+    outside = np.zeros(1) if len(offsets_mm) == 1 else half_gaps[:1]
+    cell = np.minimum(np.concatenate((outside, half_gaps)), np.concatenate((half_gaps, outside)))
+    return SeparableTaps(_frozen(offsets_mm), _frozen(weights), _frozen(cell))
+
+
+def _folded(cumulative: Array) -> Array:
+    """Return tap weights (m, n + 1) from the CDF at the n edges between taps, (m, n)."""
+    low, high = np.zeros((len(cumulative), 1)), np.ones((len(cumulative), 1))
+    return np.diff(np.concatenate((low, cumulative, high), axis=1), axis=1)
 
 
 def _checked_sigmas(sigma_mm: npt.ArrayLike, where: str) -> Array:

@@ -21,6 +21,8 @@ from scanrender.optics.profiles import DiffusionProfile
 # profile, 0.08 to 2.7 mm, gets panels of its own size on a sphere of any radius.
 _PANEL_FRACTIONS = (0.01, 0.1, 0.3, 0.5, 0.7, 0.85, 0.95, 0.99, 0.999, 0.99999, 1.0 - 1e-9)
 _PANEL_NODES = 24
+# Enough for a profile a hundredth as wide as the pixel that shows it.
+_FOOTPRINT_PANELS = 64
 # A Gaussian profile's scales are not its quantiles where weights are small; halving the radius
 # repeatedly reaches all of them.
 _OCTAVES = 14
@@ -33,6 +35,25 @@ def half_lit_plane(x_mm: npt.ArrayLike, profile: DiffusionProfile) -> Array:
     at any tilt, distance, field of view and aspect.
     """
     return profile.line_cdf(x_mm)
+
+
+def half_lit_plane_seen(
+    x_mm: npt.ArrayLike, footprint_mm: float, profile: DiffusionProfile
+) -> Array:
+    """Mean of ``half_lit_plane`` over pixels ``footprint_mm`` > 0 wide around ``x_mm`` (...).
+
+    What a picture of that plane shows; beside the edge it differs from the value at the pixel's
+    centre by as much as the profile is narrower than a pixel.
+    """
+    if not footprint_mm > 0.0:
+        raise ConfigError("a footprint must be positive", "footprint_mm")
+    x = as_array(x_mm)
+    node, weight = gauss_legendre(_PANEL_NODES)
+    panels = np.linspace(-0.5, 0.5, _FOOTPRINT_PANELS + 1)
+    middle, half = 0.5 * (panels[1:] + panels[:-1]), 0.5 / _FOOTPRINT_PANELS
+    offsets = (middle[:, None] + half * node).ravel() * footprint_mm
+    values = profile.line_cdf(x[..., None] + offsets)
+    return np.asarray(np.einsum("...kc,k->...c", values, half * np.tile(weight, len(middle))))
 
 
 def slab_transmittance(d_mm: npt.ArrayLike, profile: DiffusionProfile) -> Array:

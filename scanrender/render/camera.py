@@ -6,6 +6,7 @@ the subject faces +Z, its centre at the origin. View: the camera looks along -Z.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,14 +17,21 @@ from scanrender.settings.shot import CameraSettings
 
 Matrix = npt.NDArray[np.float64]
 SENSOR_HEIGHT_MM = 24.0
+# Chin to crown, adults: 227 mm (the close view of the published timings).
+HALF_HEAD_MM = 113.5
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A perspective camera around `target_mm`. `size_px` and `tan_half` exclude the guard band."""
+    """A camera around `target_mm`. `size_px` and `half_height` exclude the guard band.
+
+    `half_height` is half of the picture's height: a tangent (mm at 1 mm) in perspective, mm at any
+    depth when orthographic.
+    """
 
     size_px: tuple[int, int]
-    tan_half_height: float
+    half_height: float
+    is_orthographic: bool
     azimuth_deg: float
     elevation_deg: float
     distance_mm: float
@@ -51,9 +59,15 @@ class Camera:
         """
         width, height = self.size_px
         tall, wide = height + 2 * guard_px, width + 2 * guard_px
-        p11 = 1.0 / (self.tan_half_height * tall / height)
+        p11 = 1.0 / (self.half_height * tall / height)
         near, far = self.near_mm, self.far_mm
         matrix = np.zeros((4, 4))
+        if self.is_orthographic:
+            matrix[0, 0], matrix[1, 1] = p11 * tall / wide, p11
+            matrix[0, 3], matrix[1, 3] = -2.0 * jitter_px[0] / wide, 2.0 * jitter_px[1] / tall
+            matrix[2, 2], matrix[2, 3] = -2.0 / (far - near), -(far + near) / (far - near)
+            matrix[3, 3] = 1.0
+            return matrix
         matrix[0, 0] = p11 * tall / wide  # square pixels
         matrix[1, 1] = p11
         # A sample right of the pixel's centre sees what a picture moved left would show there.
@@ -65,8 +79,9 @@ class Camera:
         return matrix
 
     def px_per_mm(self, depth_mm: float) -> float:
-        """Pixels per millimetre at a depth: 0.5 H P11 / z, square pixels (DESIGN 4)."""
-        return 0.5 * self.size_px[1] / (self.tan_half_height * depth_mm)
+        """Pixels per millimetre at a depth: 0.5 H P11 / z, square pixels, ortho without /z."""
+        scale = 0.5 * self.size_px[1] / self.half_height
+        return scale if self.is_orthographic else scale / depth_mm
 
 
 def frame_subject(
@@ -74,27 +89,29 @@ def frame_subject(
     positions_mm: npt.NDArray[np.floating],
     turn_angles_deg: npt.NDArray[np.floating],
 ) -> Camera:
-    """The nearest camera that keeps every vertex inside `fill` of the picture at every turn angle.
+    """A camera that shows `height_mm` of the subject, or all of it at every turn angle.
 
-    For a vertex at (x, y, z) in the camera's axes around the target, it fits when
-    |x| <= tan (D - z), so that the distance D is a plain maximum over vertices.
+    Without `height_mm` it is the nearest camera (the narrowest view, if orthographic) that keeps
+    every vertex inside `fill` of the picture.
     """
-    tan_height = 0.5 * SENSOR_HEIGHT_MM / settings.focal_mm
-    tan_width = tan_height * settings.width_px / settings.height_px
-    target = np.array([0.0, settings.look_up_mm, 0.0])
-    points = np.asarray(positions_mm, dtype=np.float64) - target
-    points = _outermost(points)
+    aim = float(np.max(positions_mm[:, 1])) - HALF_HEAD_MM if settings.aim == "head" else 0.0
+    target = np.array([0.0, aim + settings.look_up_mm, 0.0])
+    points = _outermost(np.asarray(positions_mm, dtype=np.float64) - target)
     radius = float(np.linalg.norm(points, axis=1).max(initial=1e-3))
-    distance = 0.0
-    for angle in np.unique(np.round(turn_angles_deg, 3)):
-        turn = rotation_x(settings.elevation_deg) @ rotation_y(angle - settings.azimuth_deg)
-        x, y, z = (points @ turn[:3, :3].T).T
-        reach = np.maximum(np.abs(x) / tan_width, np.abs(y) / tan_height) / settings.fill
-        distance = max(distance, float((z + reach).max()))
-    distance = max(distance, radius * 1.02) if settings.fill <= 1 else max(distance, radius * 0.05)
+    is_orthographic = settings.projection == "orthographic"
+    # In front of the whole subject: parallel rays see the same from anywhere.
+    half_height, distance = 0.5 * SENSOR_HEIGHT_MM / settings.focal_mm, 2.0 * radius
+    if is_orthographic:
+        half_height = _half_height_mm(settings, points, turn_angles_deg, radius)
+    elif settings.height_mm is not None:
+        distance = 0.5 * settings.height_mm / half_height
+    else:
+        distance = _distance_mm(settings, points, turn_angles_deg, half_height)
+        distance = max(distance, radius * (1.02 if settings.fill <= 1 else 0.05))
     return Camera(
         size_px=(settings.width_px, settings.height_px),
-        tan_half_height=tan_height,
+        half_height=half_height,
+        is_orthographic=is_orthographic,
         azimuth_deg=settings.azimuth_deg,
         elevation_deg=settings.elevation_deg,
         distance_mm=distance,
@@ -102,6 +119,45 @@ def frame_subject(
         near_mm=max(distance - 1.05 * radius, distance * 1e-3),
         far_mm=distance + 1.05 * radius,
     )
+
+
+def _distance_mm(
+    settings: CameraSettings, points: Matrix, angles_deg: npt.NDArray[np.floating], tan: float
+) -> float:
+    """The nearest perspective: (x, y, z) in the camera's axes fits when |y| <= tan (D - z)."""
+    distance = 0.0
+    for x, y, z in _turned(settings, points, angles_deg):
+        distance = max(distance, float((z + _reach(settings, x, y) / tan).max()))
+    return distance
+
+
+def _half_height_mm(
+    settings: CameraSettings,
+    points: Matrix,
+    angles_deg: npt.NDArray[np.floating],
+    radius: float,
+) -> float:
+    """Half the height that an orthographic picture shows; never nothing, for a single point."""
+    if settings.height_mm is not None:
+        return 0.5 * settings.height_mm
+    turned = _turned(settings, points, angles_deg)
+    widest = max(float(_reach(settings, x, y).max()) for x, y, _ in turned)
+    return max(widest, 1e-3 * radius)
+
+
+def _turned(
+    settings: CameraSettings, points: Matrix, angles_deg: npt.NDArray[np.floating]
+) -> Iterator[Matrix]:
+    """(3, n) points in the camera's axes around the target, at each turn angle."""
+    for angle in np.unique(np.round(angles_deg, 3)):
+        turn = rotation_x(settings.elevation_deg) @ rotation_y(angle - settings.azimuth_deg)
+        yield (points @ turn[:3, :3].T).T
+
+
+def _reach(settings: CameraSettings, x: Matrix, y: Matrix) -> Matrix:
+    """Half the picture's height, at the vertex, that just holds it inside `fill`."""
+    wide = np.abs(x) * settings.height_px / settings.width_px
+    return np.asarray(np.maximum(wide, np.abs(y)) / settings.fill)
 
 
 def _outermost(points: Matrix) -> Matrix:

@@ -35,20 +35,30 @@ class Device:
         self.renderer = str(context.info["GL_RENDERER"])
         self.version = str(context.info["GL_VERSION"])
         self.vendor = str(context.info["GL_VENDOR"])
-        self._programs: dict[tuple[str, str], moderngl.Program] = {}
+        self._programs: dict[tuple[str, str, tuple[str, ...]], moderngl.Program] = {}
         self._triangles: dict[int, moderngl.VertexArray] = {}
 
     @property
     def is_software(self) -> bool:
         return any(word in self.renderer.lower() for word in ("llvmpipe", "softpipe", "swrast"))
 
-    def program(self, name: str, vertex: str = "fullscreen") -> moderngl.Program:
-        """Compile `shaders/{name}.frag` with `shaders/{vertex}.vert`, once. Raises DeviceError."""
-        key = (name, vertex)
+    def program(
+        self, name: str, vertex: str = "fullscreen", defines: tuple[str, ...] = ()
+    ) -> moderngl.Program:
+        """Compile `shaders/{name}.frag` with `shaders/{vertex}.vert`, once. Raises DeviceError.
+
+        `defines` are switched on in the fragment shader: what a mode does not use costs nothing,
+        where a software rasteriser runs both sides of a branch.
+        """
+        key = (name, vertex, defines)
         if key not in self._programs:
+            fragment = _source(f"{name}.frag")
+            head, rest = fragment.split("\n", 1)
+            switches = "".join(f"#define {word}\n" for word in defines)
             try:
                 self._programs[key] = self.context.program(
-                    vertex_shader=_source(f"{vertex}.vert"), fragment_shader=_source(f"{name}.frag")
+                    vertex_shader=_source(f"{vertex}.vert"),
+                    fragment_shader=f"{head}\n{switches}{rest}",
                 )
             except moderngl.Error as error:
                 raise DeviceError(

@@ -16,7 +16,9 @@ from scanrender.errors import StageError, UsageError
 from scanrender.render.camera import Camera, frame_subject
 from scanrender.render.device import Device, bind
 from scanrender.render.graph import Graph, TexturePool
+from scanrender.render.lamps import WIDEST_MAP_DEG
 from scanrender.render.passes import all_passes
+from scanrender.render.passes._scatter import largest_width_factor
 from scanrender.render.plan import Decision, plan
 from scanrender.render.samples import sample_offsets_px
 from scanrender.render.scene import Scene, Shot
@@ -39,10 +41,11 @@ class Renderer:
 
     def __init__(self, device: Device, asset: Asset, pipeline: Pipeline) -> None:
         self.device = device
-        self.pipeline, self.decisions = plan(pipeline)
+        self.pipeline, self.decisions = plan(pipeline, asset.maps)
         self.scene = Scene(device, asset, self.pipeline)
         self.graph = Graph(all_passes(self.scene))
         self.pool = TexturePool(device)
+        self.decisions += _light_decisions(self.scene)
         self.camera = self._camera()
         self.guard_px = self._guard_px()
 
@@ -144,6 +147,7 @@ class Renderer:
         if self.pipeline.diffusion.method == "none":
             return 0
         reach = self.camera.px_per_mm(self.camera.near_mm) * float(self.scene.reach_mm.max())
+        reach *= largest_width_factor(self.scene)
         limit = min(self.camera.size_px) // 2
         if reach > limit:
             reason = f"the profile reaches {reach:.0f} px; the guard band stops at {limit} px"
@@ -187,6 +191,19 @@ class Renderer:
             "camera_distance_mm": round(self.camera.distance_mm, 3),
             "guard_px": self.guard_px,
         }
+
+
+def _light_decisions(scene: Scene) -> list[Decision]:
+    """What a lamp's shadow map cannot hold."""
+    return [
+        Decision(
+            f"part of the shadows of lamp {lamp.index}",
+            f"it stands {lamp.distance_mm:.0f} mm from the centre, inside the subject's bounds; "
+            f"its map sees {WIDEST_MAP_DEG:.0f} degrees, what lies beside it is lit unshadowed",
+        )
+        for lamp in scene.lamps
+        if lamp.settings.shadow and not lamp.sees_all
+    ]
 
 
 def _family(name: str, order: dict[str, int]) -> int:

@@ -1,4 +1,8 @@
-"""Lights resolved into world space, and the camera that each one's shadow map looks through."""
+"""Lights resolved into their rig's space, and the camera that each one's shadow map looks through.
+
+A rig is what a light is fixed to (`follows`): its axes are the world's, the turned subject's or the
+camera's, its origin the subject's centre. `Shot.rig_from_world` says where it stands in a frame.
+"""
 
 from __future__ import annotations
 
@@ -9,47 +13,59 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.render.camera import Matrix, rotation_x, rotation_y
-from scanrender.settings.light import AmbientLight, DirectionalLight, Light, SpotLight
+from scanrender.settings.light import (
+    AmbientLight,
+    DirectionalLight,
+    LampSettings,
+    Light,
+    SpotLight,
+)
 
 Vector = npt.NDArray[np.float64]
+# A lamp inside the subject's bounding sphere has the subject all around; its map sees this much.
+WIDEST_MAP_DEG = 150.0
 
 
 @dataclass(frozen=True)
 class Lamp:
-    """A directional or spot light around the origin, in world millimetres.
+    """A directional, point or spot light around the origin of its rig, in millimetres.
 
-    `irradiance` is RGB at the subject's centre in units of pi. The light's own space looks along
-    -Z, like a camera; `depth_mm` in it is measured from its near plane.
+    `irradiance` is RGB at the subject's centre in units of pi. The light's own space has the
+    subject's centre at its origin and the lamp `distance_mm` up its +Z: a lamp 10 km away then
+    costs float32 no digits. `sees_all` is false when the shadow map cannot hold all that the light
+    reaches.
     """
 
     index: int
-    settings: DirectionalLight | SpotLight
+    settings: LampSettings
     irradiance: Vector
-    light_from_world: Matrix
+    light_from_rig: Matrix
     clip_from_light: Matrix
     near_mm: float
     far_mm: float
+    distance_mm: float
+    sees_all: bool
 
     @property
-    def is_spot(self) -> bool:
-        return isinstance(self.settings, SpotLight)
+    def is_near(self) -> bool:
+        """A lamp that stands somewhere; parallel light does not."""
+        return not isinstance(self.settings, DirectionalLight)
 
     @property
     def position_mm(self) -> Vector:
-        """World position of a spot; for parallel light a point on its near side, for its axis."""
-        return np.asarray(np.linalg.inv(self.light_from_world)[:3, 3])
+        """Where the lamp stands; for parallel light a point on its near side, for its axis."""
+        return self.distance_mm * self.to_light
 
     @property
     def to_light(self) -> Vector:
-        """World unit vector from the subject's centre to the light."""
-        return np.asarray(self.light_from_world[2, :3])
+        """Unit vector from the subject's centre to the light."""
+        return np.asarray(self.light_from_rig[2, :3])
 
     @property
     def width_mm(self) -> float:
         """Width of the shadow map's view at the subject's centre."""
-        if isinstance(self.settings, SpotLight):
-            return 2.0 * self.settings.distance_mm / float(self.clip_from_light[0, 0])
-        return 2.0 / float(self.clip_from_light[0, 0])
+        at = self.distance_mm if self.is_near else 1.0
+        return 2.0 * at / float(self.clip_from_light[0, 0])
 
     @property
     def cone_cosines(self) -> tuple[float, float]:
@@ -60,44 +76,80 @@ class Lamp:
         inner = half * (1.0 - self.settings.edge)
         return float(np.cos(half)), float(np.cos(min(inner, half - 1e-4)))
 
+    @property
+    def size(self) -> float:
+        """What a penumbra grows with: tangent of the half angle, or the lamp's radius in mm."""
+        if isinstance(self.settings, DirectionalLight):
+            return float(np.tan(np.deg2rad(self.settings.size_deg) / 2))
+        return float(self.settings.radius_mm)
+
 
 def resolve_lights(lights: Sequence[Light], radius_mm: float) -> tuple[list[Lamp], Vector]:
-    """Lamps around a subject inside `radius_mm` of the origin, and the ambient RGB sum."""
+    """Lamps around a subject inside `radius_mm` of the origin, and the ambient RGB sum.
+
+    Environments are no lamps: `render/environment.py` has them.
+    """
     lamps: list[Lamp] = []
     ambient = np.zeros(3)
     for light in lights:
         if isinstance(light, AmbientLight):
             ambient += light.irradiance * np.asarray(light.colour)
-        else:
+        elif isinstance(light, LampSettings):
             lamps.append(_lamp(light, len(lamps), radius_mm))
     return lamps, ambient
 
 
-def _lamp(light: DirectionalLight | SpotLight, index: int, radius_mm: float) -> Lamp:
-    turn = rotation_x(light.elevation_deg) @ rotation_y(-light.azimuth_deg)
-    back = np.eye(4)
-    clip = np.eye(4)
-    if isinstance(light, SpotLight):
-        distance = light.distance_mm
-        near = max(distance - radius_mm, 0.01 * distance)
-        far = distance + radius_mm
-        # The map need not see more than the subject, and never more than the cone.
-        tan = np.tan(np.deg2rad(light.cone_deg) / 2)
-        if distance > 1.01 * radius_mm:
-            tan = min(tan, radius_mm / np.sqrt(distance**2 - radius_mm**2))
-        clip = np.array(
-            [
-                [1 / tan, 0, 0, 0],
-                [0, 1 / tan, 0, 0],
-                [0, 0, -(far + near) / (far - near), -2 * far * near / (far - near)],
-                [0, 0, -1, 0],
-            ]
-        )
-    else:
+def _lamp(light: LampSettings, index: int, radius_mm: float) -> Lamp:
+    azimuth, elevation = light.azimuth_deg, light.elevation_deg
+    sees_all = True
+    if isinstance(light, DirectionalLight):
         distance, near, far = 2.0 * radius_mm, 0.99 * radius_mm, 3.01 * radius_mm
-        clip[0, 0] = clip[1, 1] = 1.0 / (1.01 * radius_mm)
-        clip[2, 2] = -2.0 / (far - near)
-        clip[2, 3] = -(far + near) / (far - near)
+        clip = _parallel(1.01 * radius_mm, near, far)
+    else:
+        distance = light.distance_mm
+        if light.position_mm is not None:
+            x, y, z = light.position_mm
+            distance = float(np.linalg.norm(light.position_mm))
+            azimuth = float(np.rad2deg(np.arctan2(x, z)))
+            elevation = float(np.rad2deg(np.arctan2(y, np.hypot(x, z))))
+        near, far = max(distance - radius_mm, 0.01 * distance), distance + radius_mm
+        tan, sees_all = _map_tangent(light, distance, radius_mm)
+        clip = _perspective(tan, near, far)
+    back = np.eye(4)
     back[2, 3] = -distance
+    frame = rotation_x(elevation) @ rotation_y(-azimuth)
     colour = light.irradiance * np.asarray(light.colour, dtype=np.float64)
-    return Lamp(index, light, colour, back @ turn, clip, near, far)
+    return Lamp(index, light, colour, frame, clip @ back, near, far, distance, sees_all)
+
+
+def _map_tangent(light: LampSettings, distance: float, radius_mm: float) -> tuple[float, bool]:
+    """Half width of the shadow map's view at 1 mm, and whether it holds all that is lit.
+
+    The map need not see more than the subject's bounding sphere, nor more than a spot's cone.
+    """
+    whole = np.inf
+    if distance > 1.01 * radius_mm:
+        whole = radius_mm / np.sqrt(distance**2 - radius_mm**2)
+    if isinstance(light, SpotLight):
+        return float(min(whole, np.tan(np.deg2rad(light.cone_deg) / 2))), True
+    widest = np.tan(np.deg2rad(WIDEST_MAP_DEG) / 2)
+    return float(min(whole, widest)), bool(whole <= widest)
+
+
+def _parallel(half_width_mm: float, near: float, far: float) -> Matrix:
+    clip = np.eye(4)
+    clip[0, 0] = clip[1, 1] = 1.0 / half_width_mm
+    clip[2, 2] = -2.0 / (far - near)
+    clip[2, 3] = -(far + near) / (far - near)
+    return clip
+
+
+def _perspective(tan: float, near: float, far: float) -> Matrix:
+    return np.array(
+        [
+            [1 / tan, 0, 0, 0],
+            [0, 1 / tan, 0, 0],
+            [0, 0, -(far + near) / (far - near), -2 * far * near / (far - near)],
+            [0, 0, -1, 0],
+        ]
+    )

@@ -6,9 +6,10 @@ tool says why. These reasons need no measurement; measured ones join them here.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
-from scanrender.settings.light import AmbientLight
+from scanrender.settings.light import EnvironmentLight, LampSettings
 from scanrender.settings.pipeline import Pipeline
 
 
@@ -20,27 +21,92 @@ class Decision:
     reason: str
 
 
-def plan(pipeline: Pipeline) -> tuple[Pipeline, list[Decision]]:
-    """The pipeline without lights and effects that cannot change the picture."""
+def plan(
+    pipeline: Pipeline, maps: Collection[str] | None = None
+) -> tuple[Pipeline, list[Decision]]:
+    """The pipeline without lights and effects that cannot change the picture.
+
+    `maps` are those of the asset; None takes it to have all.
+    """
     decisions: list[Decision] = []
+    pipeline = _without_black_lights(pipeline, decisions)
+    pipeline = _with_transmission_that_can_be(pipeline, maps, decisions)
+    pipeline = _with_diffusion_that_can_be(pipeline, decisions)
+    return _with_curvature_that_can_be(pipeline, maps, decisions), decisions
+
+
+def _without_black_lights(pipeline: Pipeline, decisions: list[Decision]) -> Pipeline:
     lights = []
     for index, light in enumerate(pipeline.lights):
-        if light.irradiance == 0.0 or not any(light.colour):
+        strength = light.intensity if isinstance(light, EnvironmentLight) else light.irradiance
+        if strength == 0.0 or not any(light.colour):
             decisions.append(Decision(f"lights.{index}", "it is black"))
         else:
             lights.append(light)
-    updates: dict[str, object] = {"lights": tuple(lights)}
-    lamps = [light for light in lights if not isinstance(light, AmbientLight)]
+    return pipeline.model_copy(update={"lights": tuple(lights)})
+
+
+def _with_transmission_that_can_be(
+    pipeline: Pipeline, maps: Collection[str] | None, decisions: list[Decision]
+) -> Pipeline:
     skin = pipeline.skin
-    if skin.transmission.method != "none" and not any(lamp.shadow for lamp in lamps):
+    lamps = [light for light in pipeline.lights if isinstance(light, LampSettings)]
+    reason = ""
+    if skin.transmission.method == "shadow_map" and not any(lamp.shadow for lamp in lamps):
         reason = "no light casts a shadow, so nothing tells how thick the skin is"
-        decisions.append(Decision("transmission", reason))
-        none = skin.transmission.model_copy(update={"method": "none"})
-        updates["skin"] = skin.model_copy(update={"transmission": none})
-    if pipeline.diffusion.method != "none" and not lights:
-        decisions.append(Decision("diffusion", "there is no light to diffuse"))
-        updates["diffusion"] = pipeline.diffusion.model_copy(update={"method": "none"})
-    elif pipeline.diffusion.method != "none" and skin.scale == 0.0:
-        decisions.append(Decision("diffusion", "skin.scale is 0, so light leaves where it enters"))
-        updates["diffusion"] = pipeline.diffusion.model_copy(update={"method": "none"})
-    return pipeline.model_copy(update=updates), decisions
+    elif skin.transmission.method == "baked" and not lamps:
+        reason = "there is no lamp that could shine through"
+    elif skin.transmission.method == "baked" and maps is not None and "thickness_mm" not in maps:
+        reason = "the asset has no thickness map"
+    if not reason:
+        return pipeline
+    decisions.append(Decision("transmission", reason))
+    none = skin.transmission.model_copy(update={"method": "none"})
+    return pipeline.model_copy(update={"skin": skin.model_copy(update={"transmission": none})})
+
+
+def _with_diffusion_that_can_be(pipeline: Pipeline, decisions: list[Decision]) -> Pipeline:
+    diffusion = pipeline.diffusion
+    reason = ""
+    if diffusion.method == "none":
+        return pipeline
+    if not pipeline.lights:
+        reason = "there is no light to diffuse"
+    elif pipeline.skin.scale == 0.0:
+        reason = "skin.scale is 0, so light leaves where it enters"
+    if reason:
+        decisions.append(Decision("diffusion", reason))
+        return pipeline.model_copy(
+            update={"diffusion": diffusion.model_copy(update={"method": "none"})}
+        )
+    updates: dict[str, object] = {}
+    if diffusion.limit == "lab" and diffusion.limit_floor == 1.0:
+        decisions.append(Decision("diffusion.limit", "its floor is 1, so nothing is limited"))
+        updates["limit"] = "none"
+    if diffusion.halo == "cbf" and diffusion.edge_contrast == 0.0:
+        decisions.append(Decision("diffusion.halo", "edge_contrast is 0, so no tap is held back"))
+        updates["halo"] = "none"
+    elif diffusion.halo == "cbf_normalized" and diffusion.edge_contrast == 0.0:
+        reason = "edge_contrast is 0: what is left of cbf_normalized is its depth correction"
+        decisions.append(Decision("diffusion.halo", reason))
+        updates["halo"] = "depth"
+    return pipeline.model_copy(update={"diffusion": diffusion.model_copy(update=updates)})
+
+
+def _with_curvature_that_can_be(
+    pipeline: Pipeline, maps: Collection[str] | None, decisions: list[Decision]
+) -> Pipeline:
+    curvature = pipeline.curvature
+    updates: dict[str, object] = {}
+    transmits = curvature.forward_scattering and pipeline.skin.transmission.method != "none"
+    if curvature.modulation != "none" and pipeline.diffusion.method == "none" and not transmits:
+        decisions.append(Decision("curvature.modulation", "nothing diffuses"))
+        updates["modulation"] = "none"
+    elif curvature.modulation == "reduce_to_minimum" and curvature.minimum == 1.0:
+        decisions.append(Decision("curvature.modulation", "its minimum is 1, the full width"))
+        updates["modulation"] = "none"
+    if curvature.source == "baked" and maps is not None and "curvature" not in maps:
+        reason = "the asset has no curvature map, so the screen's is used"
+        decisions.append(Decision("curvature.source: baked", reason))
+        updates["source"] = "screen"
+    return pipeline.model_copy(update={"curvature": curvature.model_copy(update=updates)})

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -13,17 +15,20 @@ from scanrender.asset import Asset
 from scanrender.optics.kernels import gaussian_taps
 from scanrender.optics.profiles._checks import MIN_LENGTH_MM
 from scanrender.optics.profiles.gaussians import D_EON_SKIN, GaussianSum
-from scanrender.optics.surface import SpecularLobes
+from scanrender.optics.surface import SpecularLobes, rho_dt
 from scanrender.render.camera import Camera, Matrix, rotation_y
 from scanrender.render.device import Device
-from scanrender.render.lamps import resolve_lights
+from scanrender.render.environment import Environment
+from scanrender.render.lamps import Lamp, resolve_lights
 from scanrender.render.view import TABLE_SIZE, view_table
+from scanrender.settings.light import EnvironmentLight, Follows
 from scanrender.settings.pipeline import Pipeline
 from scanrender.settings.skin import SkinSettings
 
 RHO_TABLE_SIZE = 64
-# What a scan without a map gets: (components, value). Thickness has no neutral value and no pass
-# reads it yet.
+RHO_COSINES = (np.arange(RHO_TABLE_SIZE) + 0.5) / RHO_TABLE_SIZE
+SEPARABLE = ("separable_preintegrated", "separable_artistic")
+# What a scan without a map gets. Thickness has no neutral value: plan.py sees to it.
 NEUTRAL_MAPS = {
     "albedo": (0.5, 0.5, 0.5),
     "normal_ts": (0.0, 0.0, 1.0),
@@ -38,7 +43,7 @@ class Shot:
 
     `size` is (width, height) in px with the guard band; `scissor` the (x, y, w, h) in GL's
     bottom-up pixels that the subject can touch; `near_mm` the least depth it can have. `sample`
-    numbers the supersample.
+    numbers the supersample, whose place in the pixel is `jitter_px` (right, down).
     """
 
     size: tuple[int, int]
@@ -50,15 +55,37 @@ class Shot:
     working_distance_mm: float
     sample: int
     guard_px: int
+    jitter_px: tuple[float, float] = (0.0, 0.0)
 
     @property
     def view_from_object(self) -> Matrix:
         return self.view_from_world @ self.world_from_object
 
+    def rig_from_world(self, follows: Follows) -> Matrix:
+        """Axes that a light is fixed to, around the subject's centre."""
+        if follows == "subject":
+            return np.asarray(np.linalg.inv(self.world_from_object))
+        turn = np.eye(4)
+        if follows == "camera":
+            turn[:3, :3] = self.view_from_world[:3, :3]
+        return turn
+
     @property
-    def px_per_mm_at_1mm(self) -> float:
-        """0.5 H P11: divide by depth in mm for pixels per millimetre (square pixels)."""
-        return float(0.5 * self.size[1] * self.clip_from_view[1, 1])
+    def is_orthographic(self) -> bool:
+        return bool(self.clip_from_view[3, 2] == 0.0)
+
+    def px_per_mm(self, depth_mm: float) -> float:
+        """Pixels per millimetre at a depth: 0.5 H P11 / z, without /z when orthographic."""
+        scale = float(0.5 * self.size[1] * self.clip_from_view[1, 1])
+        return scale if self.is_orthographic else scale / depth_mm
+
+    @property
+    def screen_uniforms(self) -> dict[str, Any]:
+        """What `screen.glsl` takes."""
+        return {
+            "px_per_mm_at_1mm": self.px_per_mm(1.0),
+            "is_orthographic": self.is_orthographic,
+        }
 
 
 class Scene:
@@ -73,11 +100,14 @@ class Scene:
         self.profile = profile_of(pipeline.skin)
         self.albedo_power = {"pre": 1.0, "mixed": 0.5, "post": 0.0}[pipeline.skin.texturing]
         # Radius of 99.9 % of the profile per channel: guard band, culling, kernel_px.
-        self.reach_mm = np.asarray(self.profile.radius_for(0.999), dtype=np.float64)
+        self.scattering = scattering_of(pipeline, self.profile)
+        self.reach_mm = np.asarray(self.scattering.radius_for(0.999), dtype=np.float64)
         scatters = pipeline.diffusion.method != "none"
         self.uses_skin_map = scatters and pipeline.diffusion.mask == "skin" and "skin" in asset.maps
         self._index = device.context.buffer(asset.mesh.faces.astype(np.uint32).tobytes())
         self._vertices = device.context.buffer(_interleaved(asset).tobytes())
+        self._tap_blocks: dict[int, moderngl.Buffer] = {}
+        self._data_maps: dict[str, moderngl.Texture] = {}
         self._arrays: dict[str, moderngl.VertexArray] = {}
 
     def draw_mesh(self, program: moderngl.Program) -> None:
@@ -105,6 +135,12 @@ class Scene:
         array[:count] = np.stack([taps.offsets_sigma, taps.weights], axis=1)
         return array.tobytes()
 
+    def tap_block(self, count: int, make: Callable[[Scene, int], bytes]) -> moderngl.Buffer:
+        """The uniform block of a kernel with `count` taps, made once by `make(scene, count)`."""
+        if count not in self._tap_blocks:
+            self._tap_blocks[count] = self.device.context.buffer(make(self, count))
+        return self._tap_blocks[count]
+
     @cached_property
     def smoothing_taps(self) -> moderngl.Texture:
         taps = gaussian_taps(15)
@@ -121,10 +157,30 @@ class Scene:
         )
 
     @cached_property
+    def environments(self) -> list[Environment]:
+        """Environment lights, prefiltered for this material."""
+        found = [light for light in self.pipeline.lights if isinstance(light, EnvironmentLight)]
+        return [
+            Environment(self.device, light, self._lobes, RHO_COSINES, self._rho) for light in found
+        ]
+
+    @cached_property
+    def lobe_albedo(self) -> moderngl.Texture:
+        """Row over cos theta: what each lobe reflects with its share; they sum to
+        `directional_albedo`.
+        """
+        lobes = self._lobes
+        parts = np.stack([
+            lobes.mix * rho_dt(RHO_COSINES, lobes.m_first, lobes.f0),
+            (1.0 - lobes.mix) * rho_dt(RHO_COSINES, lobes.m_second, lobes.f0),
+        ], axis=-1)  # fmt: skip
+        total = np.maximum(parts.sum(axis=-1, keepdims=True), 1e-12)
+        return self.device.table((parts / total * self._rho[:, None])[None], linear=True)
+
+    @cached_property
     def _rho(self) -> npt.NDArray[np.float64]:
-        cosines = (np.arange(RHO_TABLE_SIZE) + 0.5) / RHO_TABLE_SIZE
         strength = self.pipeline.skin.specular.strength
-        return np.clip(strength * self._lobes.directional_albedo(cosines), 0.0, 1.0)
+        return np.clip(strength * self._lobes.directional_albedo(RHO_COSINES), 0.0, 1.0)
 
     @cached_property
     def directional_albedo(self) -> moderngl.Texture:
@@ -134,8 +190,7 @@ class Scene:
     @cached_property
     def mean_directional_albedo(self) -> float:
         """Cosine-weighted mean of `directional_albedo`: for light that comes from everywhere."""
-        cosines = (np.arange(RHO_TABLE_SIZE) + 0.5) / RHO_TABLE_SIZE
-        return float(np.average(self._rho, weights=cosines))
+        return float(np.average(self._rho, weights=RHO_COSINES))
 
     @cached_property
     def view_table(self) -> moderngl.Texture3D:
@@ -171,22 +226,46 @@ class Scene:
             clip_from_view @ view_from_world @ world_from_object,
             (width, height),
         )
+        toward = (view_from_world @ world_from_object)[2]
+        nearest = -float((self.asset.mesh.positions_mm @ toward[:3]).max() + toward[3])
         return Shot(
             (width, height),
             scissor,
             view_from_world,
             world_from_object,
             clip_from_view,
-            camera.near_mm,
+            max(nearest, camera.near_mm),
             camera.distance_mm,
             sample,
             guard_px,
+            jitter_px,
         )
+
+    @property
+    def transmitting_lamps(self) -> list[Lamp]:
+        """The lamps whose light may cross thin skin."""
+        method = self.pipeline.skin.transmission.method
+        if method == "none":
+            return []
+        lamps = [lamp for lamp in self.lamps if np.any(lamp.irradiance)]
+        return [lamp for lamp in lamps if method == "baked" or lamp.settings.shadow]
+
+    def data_map(self, name: str) -> moderngl.Texture:
+        """`curvature` or `thickness_mm`, uploaded when a pass first asks; 0 where it is missing."""
+        if name not in self._data_maps:
+            self._data_maps[name] = self._map(name)
+        return self._data_maps[name]
+
+    @property
+    def baked_curvature_mm(self) -> float:
+        """Standard deviation of the smoothing in the asset's curvature map; 0 if not stated."""
+        notes = [stage.get("notes", {}) for stage in self.asset.info.get("stages", [])]
+        return max((float(note.get("curvature_scale_mm") or 0.0) for note in notes), default=0.0)
 
     def _map(self, name: str) -> moderngl.Texture:
         pixels = self.asset.maps.get(name)
         if pixels is None:
-            return self.device.table(np.array(NEUTRAL_MAPS[name]).reshape(1, 1, -1))
+            return self.device.table(np.array(NEUTRAL_MAPS.get(name, (0.0,))).reshape(1, 1, -1))
         height, width, components = pixels.shape
         # Half floats hold 8-bit sRGB and unit normals to better than their own step.
         data = np.ascontiguousarray(pixels, dtype=np.float16)
@@ -212,6 +291,28 @@ def profile_of(skin: SkinSettings) -> GaussianSum:
         )
     narrowest = MIN_LENGTH_MM * 1.001 / float(np.sqrt(profile.variances_mm2[0]))
     return profile.scaled(max(skin.scale, narrowest)) if skin.scale != 1.0 else profile
+
+
+def scattering_of(pipeline: Pipeline, profile: GaussianSum) -> GaussianSum:
+    """The profile that the method spreads light by: the skin's, or the artistic kernel's."""
+    if pipeline.diffusion.method != "separable_artistic":
+        return profile
+    share = pipeline.diffusion.artistic.strength
+    weights: dict[float, list[float]] = {}
+    for sigmas, shares in zip(
+        artistic_sigmas_mm(pipeline), (share, [1.0 - w for w in share]), strict=True
+    ):
+        for c in range(3):
+            weights.setdefault(float(sigmas[c] ** 2), [0.0, 0.0, 0.0])[c] += shares[c]
+    variances = sorted(weights)
+    return GaussianSum.normalized(variances, [weights[v] for v in variances])
+
+
+def artistic_sigmas_mm(pipeline: Pipeline) -> npt.NDArray[np.float64]:
+    """(near and far, 3) standard deviations of the artistic kernel, scaled."""
+    artistic = pipeline.diffusion.artistic
+    sigmas = np.array([artistic.near_mm, artistic.far_mm]) * pipeline.skin.scale
+    return np.maximum(sigmas, 10.0 * MIN_LENGTH_MM)
 
 
 def _interleaved(asset: Asset) -> npt.NDArray[np.float32]:

@@ -17,6 +17,19 @@ Array = npt.NDArray[Any]
 # Share of explained variance and contrast above which a warning is worth reading: an evenly lit
 # studio capture has .01 and .02, a clinical one with two flashes .12 and .37.
 WARN_EXPLAINED, WARN_CONTRAST = 0.08, 0.15
+SAMPLES = 50_000
+
+
+def fit_light(value: Array, normal: Array, seed: int = 0) -> npt.NDArray[np.float64]:
+    """(4,) weights of [1, normal] that fit the logarithms value (k,) at normals (k, 3) best.
+
+    At most SAMPLES of them are looked at. Normals of one direction leave the rest of the light
+    unknown: it is then taken as none.
+    """
+    chosen = np.random.default_rng(seed).permutation(len(value))[:SAMPLES]
+    basis = np.column_stack([np.ones(len(chosen)), normal[chosen]]).astype(np.float64)
+    weight, *_ = np.linalg.lstsq(basis, value[chosen].astype(np.float64), rcond=1e-6)
+    return np.asarray(weight, np.float64)
 
 
 def baked_light(albedo: Array, normal: Array, skin: Array, seed: int = 0) -> dict[str, Any] | None:
@@ -29,13 +42,10 @@ def baked_light(albedo: Array, normal: Array, skin: Array, seed: int = 0) -> dic
     chosen = np.flatnonzero(skin > 0.5)
     if len(chosen) < 200:
         return None
-    rng = np.random.default_rng(seed)
-    chosen = rng.choice(chosen, min(len(chosen), 50_000), replace=False)
     luminance = albedo[chosen].astype(np.float64) @ [0.2126, 0.7152, 0.0722]
     value = np.log(np.maximum(luminance, 1e-4))
-    basis = np.column_stack([np.ones(len(chosen)), normal[chosen]])
-    weight, *_ = np.linalg.lstsq(basis, value, rcond=None)
-    fit = basis @ weight
+    weight = fit_light(value, normal[chosen], seed)
+    fit = weight[0] + normal[chosen] @ weight[1:]
     variance = float(value.var())
     length = max(float(np.linalg.norm(weight[1:])), 1e-12)
     return {

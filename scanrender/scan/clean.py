@@ -6,10 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from scanrender.errors import ScanError
 from scanrender.scan.floaters import drop_floaters
 from scanrender.scan.frame import Frame, find_frame
 from scanrender.scan.holes import fill_holes
+from scanrender.scan.neck import close_neck
 from scanrender.scan.orient import orient
 from scanrender.scan.raw import RawMesh
 from scanrender.scan.repair import drop_extra_faces, split_vertices
@@ -24,61 +27,36 @@ Step = dict[str, Any]
 
 @dataclass(frozen=True)
 class Cleaned:
-    """surface in asset space (mm, +Y up); frame; steps: one dict per step that did something."""
+    """surface in asset space (mm, +Y up); frame; steps: one dict per step, with the number of
+    faces and vertices before and after it, whether it changed anything or not; cap: how many of
+    the last faces close the neck."""
 
     surface: Surface
     frame: Frame
     steps: tuple[Step, ...]
+    cap: int = 0
+
+    @property
+    def skin(self) -> Surface:
+        """The surface without the cap at the neck."""
+        if not self.cap:
+            return self.surface
+        return self.surface.keep_faces(np.arange(len(self.surface.faces) - self.cap)).compact()
 
 
-def clean(raw: RawMesh, scan: ScanSettings, settings: CleanSettings) -> Cleaned:
-    """Weld, drop what is invalid, drop floaters, repair, orient, fill small holes.
+class _Steps:
+    """The surface on its way, and what each step did to it."""
 
-    What does not depend on the unit comes first, because floaters would falsify the size from
-    which the unit is inferred. Raises ScanError when nothing is left.
-    """
-    steps: list[Step] = []
-    surface = surface_from_raw(raw)
-    fraction = settings.floater_fraction
+    def __init__(self, surface: Surface) -> None:
+        self.surface = surface
+        self.records: list[Step] = []
 
-    def apply(name: str, step: Callable[[Surface], Surface]) -> None:
-        nonlocal surface
-        before = surface
-        surface = step(surface)
-        _record(steps, name, before, surface)
-        if len(surface.faces) == 0:
-            raise ScanError(f"nothing of the scan is left after the step: {name}")
+    def apply(self, name: str, step: Callable[[Surface], Surface]) -> None:
+        self.put(name, step(self.surface))
 
-    apply("weld", weld)
-    apply("drop degenerate faces", drop_degenerate)
-    apply("drop duplicate faces", drop_duplicates)
-    apply("drop floaters", lambda s: drop_floaters(s, fraction))
-    apply("drop extra faces at edges", drop_extra_faces)
-    apply("split vertices between fans", split_vertices)
-    apply("drop floaters that hung by a vertex", lambda s: drop_floaters(s, fraction))
-    apply("drop unused vertices", Surface.compact)
-    surface, turned = orient(surface)
-    if any(turned.values()):
-        steps.append({"step": "orient", **turned})
-    frame = find_frame(raw, surface.positions, surface.faces, scan)
-    surface = replace(surface, positions=frame.asset_from_raw(surface.positions))
-    surface, spikes = flatten_spikes(surface, settings.spike_sigma)
-    if spikes:
-        steps.append({"step": "flatten spikes", "vertices_moved": spikes})
-    if settings.hole_mm > 0:
-        before = surface
-        surface, holes = fill_holes(surface, settings.hole_mm)
-        if holes:
-            _record(steps, "fill holes", before, surface, holes=holes)
-    apply("drop degenerate faces again", drop_degenerate)
-    apply("drop unused vertices again", Surface.compact)
-    return Cleaned(surface, frame, tuple(steps))
-
-
-def _record(steps: list[Step], name: str, before: Surface, after: Surface, **extra: int) -> None:
-    changed = len(before.faces) != len(after.faces) or len(before.positions) != len(after.positions)
-    if changed:
-        steps.append(
+    def put(self, name: str, after: Surface, **extra: int) -> None:
+        before, self.surface = self.surface, after
+        self.records.append(
             {
                 "step": name,
                 "faces": [len(before.faces), len(after.faces)],
@@ -86,8 +64,52 @@ def _record(steps: list[Step], name: str, before: Surface, after: Surface, **ext
                 **extra,
             }
         )
+        if len(after.faces) == 0:
+            raise nothing_left(name)
 
 
-def bounds_mm(surface: Surface) -> list[list[float]]:
-    low, high = surface.positions.min(axis=0), surface.positions.max(axis=0)
-    return [[float(x) for x in low], [float(x) for x in high]]
+def nothing_left(step: str) -> ScanError:
+    if step.startswith("drop degenerate"):
+        what = "none of its triangles has an area"
+        return ScanError(what, fix="export it again, with all digits of its coordinates")
+    return ScanError(
+        f"nothing of the scan is left after the step: {step}",
+        fix="lower prep.clean.floater_fraction",
+    )
+
+
+def clean(raw: RawMesh, scan: ScanSettings, settings: CleanSettings) -> Cleaned:
+    """Weld, drop what is invalid, repair, orient, drop floaters, fill small holes.
+
+    What does not depend on the unit comes first; the unit is inferred from the large pieces alone,
+    because floaters would falsify the size. Raises ScanError when nothing is left.
+    """
+    steps = _Steps(surface_from_raw(raw))
+    fraction = settings.floater_fraction
+    steps.apply("weld", weld)
+    steps.apply("drop degenerate faces", drop_degenerate)
+    steps.apply("drop duplicate faces", drop_duplicates)
+    steps.apply("drop extra faces at edges", drop_extra_faces)
+    steps.apply("split vertices between fans", split_vertices)
+    steps.apply("drop unused vertices", Surface.compact)
+    surface, turned = orient(steps.surface)
+    steps.put("orient", surface, **turned)
+    main = drop_floaters(surface, fraction)
+    frame = find_frame(raw, main.positions, main.faces, scan)
+    steps.surface = replace(surface, positions=frame.asset_from_raw(surface.positions))
+    steps.apply(
+        "drop floaters",
+        lambda s: drop_floaters(s, fraction, settings.floater_distance_mm).compact(),
+    )
+    surface, spikes = flatten_spikes(steps.surface, settings.spike_sigma)
+    steps.put("flatten spikes", surface, vertices_moved=spikes)
+    surface, holes = steps.surface, 0
+    if settings.hole_mm > 0:
+        surface, holes = fill_holes(surface, settings.hole_mm)
+    steps.put("fill holes", surface, holes=holes)
+    steps.apply("drop what filling left over", lambda s: drop_degenerate(s).compact())
+    cap = 0
+    if settings.close_neck:
+        surface, cap = close_neck(steps.surface)
+        steps.put("close the neck", surface, cap_faces=cap)
+    return Cleaned(steps.surface, frame, tuple(steps.records), cap)

@@ -17,30 +17,33 @@ from scanrender.scan.topology import cross, edges_of, lengths, unit, vertex_area
 Array = npt.NDArray[Any]
 
 MAX_ITERATIONS = 400
+MOST_COTANGENT = 10.0  # that of 6 degrees
 MAX_ROUNDS = 4  # averages with the neighbours; a wider smoothing is solved for instead
 STEPS = 2  # one backward Euler step has a pole at the centre and long tails; two are near Gaussian
 
 
 def cotangent_laplacian(positions: Array, faces: Array) -> Any:
-    """Positive semi-definite (n, n) stiffness matrix; weights are clamped to stay non-negative."""
+    """Positive semi-definite (n, n) stiffness matrix of linear elements.
+
+    Negative weights of obtuse corners stay: without them the flow is too fast across stretched
+    triangles, and noise that it should flatten survives. A sliver, whose cotangents have any size,
+    is weakened as a whole, so that its own energy stays positive and no system is ill-conditioned.
+    """
     count = len(positions)
-    rows, columns, weights = [], [], []
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        u = positions[faces[:, j]] - positions[faces[:, i]]
-        v = positions[faces[:, k]] - positions[faces[:, i]]
-        least = 1e-12 * np.einsum("ij,ij->i", u, u) + 1e-300
-        cotangent = np.einsum("ij,ij->i", u, v) / np.maximum(lengths(cross(u, v)), least)
-        rows.append(faces[:, j])
-        columns.append(faces[:, k])
-        # Slivers have cotangents of any size: clamped, they neither freeze nor repel their ends.
-        weights.append(0.5 * np.clip(cotangent, -10.0, 10.0))
+    corner = [np.take(positions, faces[:, i], axis=0) for i in range(3)]
+    side = [corner[(i + 2) % 3] - corner[(i + 1) % 3] for i in range(3)]
+    dots = [-np.einsum("ij,ij->i", side[(i + 1) % 3], side[(i + 2) % 3]) for i in range(3)]
+    double = lengths(cross(side[0], side[1]))
+    largest = np.maximum(np.maximum(np.abs(dots[0]), np.abs(dots[1])), np.abs(dots[2]))
+    double = np.maximum(double, largest / MOST_COTANGENT + 1e-300)
     half = sparse.coo_matrix(
-        (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))), (count, count)
+        (
+            np.concatenate([0.5 * dot / double for dot in dots]),
+            (faces[:, [1, 2, 0]].T.reshape(-1), faces[:, [2, 0, 1]].T.reshape(-1)),
+        ),
+        (count, count),
     ).tocsr()
     adjacency = half + half.T
-    # A negative weight (obtuse pair) would make the flow overshoot: the maximum principle is kept.
-    adjacency.data = np.maximum(adjacency.data, 0.0)
     return sparse.diags(np.asarray(adjacency.sum(axis=1)).ravel()) - adjacency
 
 
@@ -68,6 +71,18 @@ def diffuse(
     for _ in range(steps):
         density = _solved(system, area[:, None] * density, density)
     return density.reshape(integrated.shape)
+
+
+def faired(positions: Array, faces: Array, sigma: float, laplacian: Any) -> Array:
+    """Positions (n, 3) after one implicit step of that flow: noise of the vertices is gone from
+    slopes, at the price of shrinking by sigma^2 times the mean curvature."""
+    area = vertex_areas(positions, faces)
+    area = np.maximum(area, 1e-9 * float(area.mean()) + 1e-300)
+    step = 0.5 * sigma * sigma
+    system = (sparse.diags(area) + step * laplacian).tocsr()
+    # Solved for the way moved, to a hundredth of it: positions themselves may be far from 0.
+    moved = _solved(system, -step * (laplacian @ positions), np.zeros_like(positions), 0.01)
+    return np.asarray(positions + moved)
 
 
 def _solved(system: Any, right: Array, start: Array, rtol: float = 1e-4) -> Array:

@@ -163,10 +163,10 @@ def _foremost(values: Array) -> float:
 
 def spread_samples(positions: Array, faces: Array, count: int = SAMPLES) -> tuple[Array, Array]:
     """At most `count` points (n, 3) evenly over the surface and their normals, always the same."""
-    from scanrender.scan.topology import area_normals, unit
+    from scanrender.scan.topology import area_normals, lengths, unit
 
     normal = area_normals(positions, faces)
-    area = np.linalg.norm(normal, axis=1)
+    area = lengths(normal)
     rng = np.random.default_rng(0)
     count = min(count, 8 * len(faces))  # a few dozen triangles draw no face anyway
     # Stratified along the list of faces: no clumps where faces lie in order.

@@ -17,7 +17,7 @@ from scipy.sparse.linalg import spsolve
 from scanrender.scan.topology import area_normals, boundary_loops, edges_of
 
 Array = npt.NDArray[Any]
-ITERATIONS = 12
+ITERATIONS = (3, 2, 3, 2, 2)  # between the states that are kept; 12 in all
 
 
 def is_flattenable(faces: Array) -> bool:
@@ -36,13 +36,19 @@ def flatten(positions: Array, faces: Array) -> Array:
     `faces` must pass `is_flattenable` and use every vertex. May still contain flips when SLIM
     fails numerically: check with `signed_areas`.
     """
+    return flattenings(positions, faces)[0]
+
+
+def flattenings(positions: Array, faces: Array) -> list[Array]:
+    """What `flatten` gives, then earlier states of its iteration: more stretched, but closer to the
+    circle from which it starts, whose border cannot cross itself."""
     import igl
 
     start = tutte(positions, faces)
     area = 0.5 * np.linalg.norm(area_normals(positions, faces), axis=1).sum()
     start *= np.sqrt(area / max(signed_areas(start, faces).sum(), 1e-300))
     if len(faces) == 1:
-        return isometric_triangle(positions[faces[0]])[np.argsort(faces[0])]
+        return [isometric_triangle(positions[faces[0]])[np.argsort(faces[0])]]
     data = igl.slim_precompute(
         np.asfortranarray(positions),
         np.asfortranarray(faces.astype(np.int32)),
@@ -52,10 +58,13 @@ def flatten(positions: Array, faces: Array) -> Array:
         np.asfortranarray(np.zeros((0, 2))),
         0.0,
     )
-    uv = np.asarray(igl.slim_solve(data, ITERATIONS))[:, :2]
-    if not np.isfinite(uv).all() or (signed_areas(uv, faces) <= 0).any():
-        uv = start
-    return np.asarray(uv * np.sqrt(area / max(signed_areas(uv, faces).sum(), 1e-300)))
+    states = []
+    for count in ITERATIONS:
+        uv = np.array(igl.slim_solve(data, count))[:, :2]
+        if not np.isfinite(uv).all() or (signed_areas(uv, faces) <= 0).any():
+            break
+        states.append(uv * np.sqrt(area / max(signed_areas(uv, faces).sum(), 1e-300)))
+    return states[::-1] or [start]
 
 
 def isometric_triangle(corners: Array) -> Array:

@@ -22,6 +22,7 @@ HEAD_MM = (190.0, 300.0)  # from the neck's narrowest place to the crown, child 
 HEAD_TYPICAL_MM = 240.0
 ASSUMED_MM = 320.0  # head with neck, when nothing else can be said
 TURN_DEG = 15.0  # a face that looks further than this past an axis is turned onto it
+_FLAT = 0.02
 _BASE = 0.2  # the lowest part of a bust, where the rim of its base lies even when it is tilted
 # An axis, the reason, and the confidence: stated, high, medium or low.
 _Verdict = tuple[str, str, str]
@@ -197,6 +198,7 @@ def _cut_end(
     below = [float(length[place[:, axis] < _BASE].sum()) for axis in range(3)]
     above = [float(length[place[:, axis] > 1.0 - _BASE].sum()) for axis in range(3)]
     share = np.array(below + above) / length.sum()
+    share[np.tile(extent < _FLAT * extent.max(), 2)] = 0.0  # a sheet has no ends across itself
     best = int(share.argmax())
     # Eye sockets lie at one end too, but do not span it.
     span = np.delete(np.ptp(place, axis=0), best % 3).min()

@@ -42,10 +42,15 @@ class GltfFile:
         text = self._chunks(data) if data[:4] == b"glTF" else data
         try:
             self.json: dict[str, Any] = json.loads(text)
-        except ValueError as error:
-            raise ScanError(f"{path.name} is not valid glTF JSON", str(path)) from error
+        except (ValueError, RecursionError) as error:
+            raise ScanError(
+                f"{path.name} is not valid glTF JSON", str(path), "copy or export it again"
+            ) from error
         if not isinstance(self.json, dict):
-            raise ScanError(f"{path.name} is not a glTF document", str(path))
+            raise ScanError(f"{path.name} is not a glTF document", str(path), "export it again")
+        version = str(self.json.get("asset", {}).get("version", "2.0"))
+        if not version.startswith("2"):
+            raise self._old(version[:10])
         unknown = set(self.json.get("extensionsRequired", [])) - _UNDERSTOOD
         if unknown:
             raise ScanError(
@@ -54,6 +59,25 @@ class GltfFile:
                 "export it without that extension, or with Draco instead",
             )
         self._buffers: dict[int, bytes] = {}
+
+    def _old(self, version: str) -> ScanError:
+        return ScanError(
+            f"{self.path.name} is glTF {version}, of which only 2 is supported",
+            str(self.path),
+            "export it as glTF 2.0",
+        )
+
+    def entry(self, kind: str, index: Any) -> dict[str, Any]:
+        """Entry `index` of the list `kind`. Python would count from the end for negative ones."""
+        entries = self.json.get(kind, [])
+        if not isinstance(index, int) or not 0 <= index < len(entries):
+            raise ScanError(
+                f"{self.path.name} names {kind} {str(index)[:20]}, of which it has {len(entries)}",
+                str(self.path),
+                "export it again",
+            )
+        found: dict[str, Any] = entries[index]
+        return found
 
     def _chunks(self, data: bytes) -> bytes:
         text = b""
@@ -64,6 +88,8 @@ class GltfFile:
                 str(self.path),
                 "copy or export it again",
             )
+        if int.from_bytes(data[4:8], "little") == 1:
+            raise self._old("1")
         position = 12
         while position + 8 <= declared:
             size = int.from_bytes(data[position : position + 4], "little")
@@ -78,9 +104,16 @@ class GltfFile:
 
     def buffer(self, index: int) -> bytes:
         if index not in self._buffers:
-            entry = self.json["buffers"][index]
+            entry = self.entry("buffers", index)
             uri = entry.get("uri")
             content = self.binary if uri is None else self._referenced(uri)
+            if len(content) < entry["byteLength"] and "extensions" in entry:
+                raise ScanError(
+                    f"{self.path.name} is compressed by {', '.join(entry['extensions'])}, "
+                    "which is not supported",
+                    str(self.path),
+                    "export it uncompressed, or with Draco",
+                )
             if len(content) < entry["byteLength"]:
                 raise ScanError(
                     f"{self.path.name}: buffer {index} is cut short",
@@ -91,16 +124,19 @@ class GltfFile:
         return self._buffers[index]
 
     def view(self, index: int) -> bytes:
-        entry = self.json["bufferViews"][index]
-        start = entry.get("byteOffset", 0)
-        content = self.buffer(entry["buffer"])[start : start + entry["byteLength"]]
-        if len(content) < entry["byteLength"]:
-            raise ScanError(f"{self.path.name}: a buffer view leaves its buffer", str(self.path))
-        return content
+        entry = self.entry("bufferViews", index)
+        start, size = entry.get("byteOffset", 0), entry["byteLength"]
+        content = self.buffer(entry["buffer"])
+        if start < 0 or size < 0 or start + size > len(content):
+            raise self._leaves("a buffer view leaves its buffer")
+        return content[start : start + size]
+
+    def _leaves(self, what: str) -> ScanError:
+        return ScanError(f"{self.path.name}: {what}", str(self.path), "copy or export it again")
 
     def accessor(self, index: int) -> npt.NDArray[Any]:
         """(count, width) values; normalised integers become floats; sparse ones are filled in."""
-        entry = self.json["accessors"][index]
+        entry = self.entry("accessors", index)
         width, count = _WIDTH[entry["type"]], entry["count"]
         dtype = np.dtype(_COMPONENT[entry["componentType"]])
         # Elements without bytes in the file are zeros, which only sparse accessors have a use for.
@@ -122,12 +158,13 @@ class GltfFile:
         return np.asarray(values)
 
     def _strided(self, entry: dict[str, Any], dtype: np.dtype[Any], width: int) -> npt.NDArray[Any]:
-        view = self.json["bufferViews"][entry["bufferView"]]
+        view = self.entry("bufferViews", entry["bufferView"])
         content = self.view(entry["bufferView"])
         offset, count = entry.get("byteOffset", 0), entry["count"]
         stride = view.get("byteStride") or dtype.itemsize * width
-        if count and offset + stride * (count - 1) + dtype.itemsize * width > len(content):
-            raise ScanError(f"{self.path.name}: an accessor leaves its buffer", str(self.path))
+        last = offset + stride * (count - 1) + dtype.itemsize * width
+        if count and (offset < 0 or stride < 0 or last > len(content)):
+            raise self._leaves("an accessor leaves its buffer")
         return np.ndarray((count, width), dtype, content, offset, (stride, dtype.itemsize)).copy()
 
     def _sparse(
@@ -144,19 +181,21 @@ class GltfFile:
         new = np.frombuffer(
             self.view(what["bufferView"]), dtype, count * width, what.get("byteOffset", 0)
         )
+        if count and int(index.max()) >= len(values):
+            raise self._leaves("a sparse accessor names elements that it does not have")
         values = values.copy()
         values[index] = new.reshape(count, width)
         return values
 
     def page(self, texture: int, encoding: Encoding, notes: list[str]) -> Page | None:
         """The image of a texture, or None (with a note) when it is missing or not decodable."""
-        entry = self.json["textures"][texture]
+        entry = self.entry("textures", texture)
         webp = entry.get("extensions", {}).get("EXT_texture_webp", {}).get("source")
         source = webp if webp is not None else entry.get("source")
         if source is None:
             notes.append("a texture has no PNG, JPEG or WebP image: it is ignored")
             return None
-        image = self.json["images"][source]
+        image = self.entry("images", source)
         name = image.get("name") or f"image {source}"
         uri = image.get("uri", "")
         if "bufferView" not in image and not uri.startswith("data:"):
@@ -184,7 +223,10 @@ class GltfFile:
 
     def _referenced(self, uri: str) -> bytes:
         if uri.startswith("data:"):
-            return base64.b64decode(uri.split(",", 1)[1])
+            try:
+                return base64.b64decode(uri.partition(",")[2])
+            except ValueError as error:
+                raise self._leaves("embedded data is not base64") from error
         file = inside(self.path.parent, uri, self.path)
         if file is None:
             raise ScanError(

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.asset import Mesh
-from scanrender.scan.curvature import curvature_scale, mean_curvature
+from scanrender.scan.curvature import surface_curvature
 from scanrender.scan.diffuse import cotangent_laplacian, smooth_normals
 from scanrender.scan.rays import Target
 from scanrender.scan.surface import Surface
@@ -59,7 +59,7 @@ def make_high(surface: Surface, bake: BakeSettings) -> High:
     curvature = scale = laplacian = None
     if "curvature" in bake.maps:
         laplacian = cotangent_laplacian(positions, faces)
-        scale = curvature_scale(positions, faces, bake.curvature_smooth_mm)
-        curvature = mean_curvature(positions, faces, scale, laplacian)
+        least = bake.curvature_smooth_mm
+        curvature, scale = surface_curvature(positions, faces, least, laplacian)
     smooth = smooth_normals(positions, faces, normals, bake.footprint_mm, laplacian)
     return High(surface, target, smooth.astype(np.float32), curvature, scale)

@@ -11,11 +11,24 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.errors import ScanError, UsageError
+from scanrender.scan.memory import OUT_OF_MEMORY
 from scanrender.scan.pages import Page
 from scanrender.scan.raw import NO_PAGE, RawMesh
+from scanrender.scan.topology import used_vertices
 from scanrender.settings.scan import ScanSettings
 
 FORMATS = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
+# What readers raise for structures that make no sense; RecursionError: JSON nested without end.
+_STRAY = (
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    OSError,
+    ArithmeticError,
+    RecursionError,
+)
+_SAID = 120
 _UNSUPPORTED = "export it as OBJ, PLY, GLB, glTF, STL or OFF"
 
 
@@ -32,11 +45,17 @@ def read_scan(path: Path | str, settings: ScanSettings | None = None) -> RawMesh
     except ScanError:
         raise
     except MemoryError as error:
-        raise ScanError(f"{path.name} does not fit into memory", str(path)) from error
-    except (ValueError, IndexError, KeyError, TypeError, OSError, OverflowError) as error:
         raise ScanError(
-            f"{path.name} is damaged or not what its name says ({error})",
+            f"{path.name} does not fit into memory",
             str(path),
+            OUT_OF_MEMORY,
+        ) from error
+    except _STRAY as error:
+        # The words of a library say little to most people, but help whoever has to find out.
+        said = " ".join(f"{type(error).__name__}: {error}".split())[:_SAID]
+        raise ScanError(
+            f"{path.name} is damaged or not what its name says",
+            f"{path} ({said})",
             "export it again from the scanning software",
         ) from error
     return _validated(raw, path)
@@ -68,6 +87,11 @@ def check_header(path: Path) -> None:
         )
     if head.startswith(b"version https://git-lfs"):
         raise ScanError(f"{path.name} is a Git LFS pointer", str(path), "run: git lfs pull")
+
+
+def named(error: ScanError, path: Path) -> ScanError:
+    """The same error, saying which scan it is about."""
+    return error if error.where else ScanError(f"{path.name}: {error.what}", str(path), error.fix)
 
 
 def _reader(suffix: str) -> Callable[[Path], RawMesh]:
@@ -109,11 +133,37 @@ def _validated(raw: RawMesh, path: Path) -> RawMesh:
         raise ScanError(f"{path.name} has no usable face", where, "export it again")
     used = raw.positions[raw.faces.reshape(-1)]
     if float(np.ptp(used, axis=0).max()) <= 0.0:
-        raise ScanError(f"{path.name} has no size: all its vertices coincide", where)
-    raw = _usable_pages(raw, notes)
+        raise ScanError(
+            f"{path.name} has no size: all its vertices coincide", where, "export it again"
+        )
+    raw = _usable_pages(_without_strays(raw), notes)
     if raw.colors is not None and _says_nothing(raw.colors):
         raw = replace(raw, colors=None)
+        if raw.color_source == "none":
+            notes.append("all vertices have the same grey, an exporter's default: it is ignored")
+    if raw.color_source == "none" and not raw.pages and _has_coordinates(raw):
+        notes.append("the scan has texture coordinates but no image: copy it beside the scan")
     return replace(raw, notes=tuple(notes))
+
+
+def _without_strays(raw: RawMesh) -> RawMesh:
+    """Without vertices that no face uses, where one lies outside the scan, or nowhere at all: the
+    size of the scan is what tolerances are relative to."""
+    kept = np.flatnonzero(used_vertices(raw.faces, len(raw.positions)))
+    if len(kept) == len(raw.positions):
+        return raw
+    used = raw.positions[kept]
+    inside = (raw.positions >= used.min(axis=0)) & (raw.positions <= used.max(axis=0))
+    if inside.all():
+        return raw
+    new_index = np.zeros(len(raw.positions), np.int64)
+    new_index[kept] = np.arange(len(kept))
+    colors = None if raw.colors is None else raw.colors[kept]
+    return replace(raw, positions=used, faces=new_index[raw.faces], colors=colors)
+
+
+def _has_coordinates(raw: RawMesh) -> bool:
+    return raw.corner_uv is not None and bool(np.isfinite(raw.corner_uv).any())
 
 
 def _usable_pages(raw: RawMesh, notes: list[str]) -> RawMesh:
@@ -144,8 +194,9 @@ def _is_flat(page: Page) -> bool:
 
 
 def _says_nothing(colors: npt.NDArray[Any]) -> bool:
-    """One colour for every vertex is an exporter's default, not a measurement."""
-    return float(np.ptp(colors, axis=0).max()) < 1e-3
+    """One grey for every vertex is an exporter's default, not a measurement."""
+    one = float(np.ptp(colors, axis=0).max()) < 1e-3
+    return one and float(np.ptp(colors.mean(axis=0))) < 0.02
 
 
 def _take(raw: RawMesh, mask: npt.NDArray[np.bool_]) -> RawMesh:

@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from scanrender.errors import ScanError
+from scanrender.scan.clean import nothing_left
 from scanrender.scan.floaters import drop_floaters
 from scanrender.scan.frame import find_frame
-from scanrender.scan.ingest import read_scan
+from scanrender.scan.ingest import named, read_scan
+from scanrender.scan.memory import OUT_OF_MEMORY
 from scanrender.scan.orient import orient
 from scanrender.scan.raw import RawMesh
 from scanrender.scan.surface import surface_from_raw
@@ -26,8 +29,18 @@ def inspect_scan(path: Path | str, settings: ScanSettings | None = None) -> dict
     """
     settings = settings or ScanSettings()
     raw = read_scan(path, settings)
+    try:
+        return _health(raw, Path(path), settings)
+    except MemoryError as error:
+        what = f"{Path(path).name} does not fit into memory"
+        raise ScanError(what, str(path), OUT_OF_MEMORY) from error
+
+
+def _health(raw: RawMesh, path: Path, settings: ScanSettings) -> dict[str, Any]:
     welded = weld(surface_from_raw(raw))
     sound = drop_degenerate(welded)
+    if not len(sound.faces):
+        raise named(nothing_left("drop degenerate faces"), path)
     single = drop_duplicates(sound)
     count, piece = components(single.faces, len(single.positions))
     edges = edges_of(single.faces)
@@ -38,7 +51,7 @@ def inspect_scan(path: Path | str, settings: ScanSettings | None = None) -> dict
     used = used_vertices(main.faces, len(main.positions))
     size = np.ptp(frame.asset_from_raw(main.positions[used]), axis=0)
     return {
-        "file": Path(path).name,
+        "file": path.name,
         "vertices": len(raw.positions),
         "triangles": len(raw.faces),
         "welded_vertices": int(used_vertices(welded.faces, len(welded.positions)).sum()),

@@ -18,9 +18,12 @@ from scanrender.scan.diffuse import diffuse
 from scanrender.scan.gutters import Gutters
 from scanrender.scan.high import High, Low
 from scanrender.scan.journal import Journal
+from scanrender.scan.pages import Page
 from scanrender.scan.project import Projector, Samples
+from scanrender.scan.rasterize import rasterize
 from scanrender.scan.rays import Target
 from scanrender.scan.skinmap import skin_probability
+from scanrender.scan.skinmask import SkinMask
 from scanrender.scan.topology import vertex_areas
 from scanrender.settings.prep import BakeSettings
 
@@ -28,7 +31,7 @@ Array = npt.NDArray[Any]
 
 THICKNESS_SMOOTH_MM = 1.0
 LEAST_LIGHT = float(np.exp(-THICKNESS_CAP_MM / THICKNESS_FALL_MM))
-SKIN_SMOOTH_MM = 1.0  # pores and stubble are not a different material
+SKIN_TEXEL_MM = 0.75  # coarsest texels that still show a brow's border and the line of the lashes
 
 
 @dataclass
@@ -71,6 +74,7 @@ def bake_maps(
     shape: dict[str, Array],
     color: ColorSource,
     normals: NormalSource,
+    mask: SkinMask | None,
     bake: BakeSettings,
     journal: Journal,
 ) -> dict[str, Any]:
@@ -95,7 +99,7 @@ def bake_maps(
             _geometry(oven, high, shape, normals, bake)
     if "skin" in bake.maps:
         with journal.stage("skin") as notes:
-            _skin(oven, normals, color, bake, notes, journal)
+            _skin(oven, high, shape, normals, color, mask, bake, notes, journal)
     for name in set(oven.maps) - set(bake.maps):
         del oven.maps[name]
     return lost
@@ -158,27 +162,36 @@ def _geometry(
 
 def _skin(
     oven: Oven,
+    high: High,
+    shape: dict[str, Array],
     normals: NormalSource,
     color: ColorSource,
+    mask: SkinMask | None,
     bake: BakeSettings,
     notes: dict[str, Any],
     journal: Journal,
 ) -> None:
     size = bake.data_px
-    if color.kind == "none":
+    if mask is None and color.kind == "none":
         oven.maps["skin"] = np.ones((size, size, 1), np.float32)
         return
     samples = oven.samples(size)
-    small = _resized(oven.maps["albedo"], size)
-    covered = samples.texels.mask
-    sigma = SKIN_SMOOTH_MM / oven.low.texel_mm(size)
-    skin, lab = skin_probability(small, covered, sigma)
-    notes["skin_lab"] = lab
-    oven.maps["skin"] = Gutters(covered).fill(skin[:, :, None])
-    index = samples.texels.index
-    light = baked_light(
-        small.reshape(-1, 3)[index], normals.smooth(samples.hits), skin.reshape(-1)[index]
-    )
+    if mask is not None:
+        notes["from"] = "mask"
+        skin = mask.at(high.surface, samples.hits, oven.low.texel_mm(size))
+    else:
+        notes["from"] = "colours"
+        skin = _guessed_skin(oven, shape.get("ao"), size, notes)
+        if notes.get("no_skin_colour"):
+            journal.warnings.append(
+                "no part of the scan has a skin's colour: all of it counts as skin "
+                "(prep.skin.mask can say otherwise)"
+            )
+    oven.put("skin", size, skin[:, None])
+    if color.kind == "none":
+        return
+    albedo = _resized(oven.maps["albedo"], size).reshape(-1, 3)[samples.texels.index]
+    light = baked_light(albedo, normals.smooth(samples.hits), skin)
     notes["baked_light"] = light
     # No shading can take the capture's light out again: it is measured, and told.
     if light and light["explained"] > WARN_EXPLAINED and light["contrast"] > WARN_CONTRAST:
@@ -186,6 +199,24 @@ def _skin(
             f"the albedo holds the light of the capture: {100 * light['explained']:.0f} % of its "
             f"variation follows the normal (contrast {light['contrast']:.2f})"
         )
+
+
+def _guessed_skin(oven: Oven, ao: Array | None, size: int, notes: dict[str, Any]) -> Array:
+    """Skin (k,) at the texels of `size`, found on a map whose texels are no finer than it needs."""
+    coarse = size
+    while coarse % 2 == 0 and oven.low.texel_mm(coarse // 2) <= SKIN_TEXEL_MM:
+        coarse //= 2
+    mesh, texels = oven.low.mesh, oven.samples(size).texels
+    seen = texels if coarse == size else rasterize(mesh.uv, mesh.faces, coarse)
+    albedo = _resized(oven.maps["albedo"], coarse).reshape(-1, 3)[seen.index]
+    skin, found = skin_probability(oven.low, seen, albedo, ao)
+    notes.update(found, texel_mm=oven.low.texel_mm(coarse))
+    if coarse == size:
+        return skin
+    image = Gutters(seen.mask).fill(seen.scatter(skin))
+    row, column = np.divmod(texels.index, size)
+    uv = (np.stack([column, row], axis=1) + 0.5) / size
+    return Page("skin", np.repeat(image, 3, axis=2), "linear").sample(uv)[:, 0]
 
 
 def _resized(image: Image, size: int) -> Image:

@@ -24,7 +24,7 @@ Array = npt.NDArray[Any]
 
 COARSE, FINE = 128, 320  # cells along the atlas: to search the scale, and for the result
 # A fine grid wastes less: it is tried at growing multiples of the scale found on the coarse one.
-FINE_FACTORS = (1.01, 1.022, 1.035)  # all at once, in processes of their own
+FINE_FACTORS = (1.01, 1.03)  # side by side, in processes of their own
 SUBCELLS = 4  # charts are drawn this much finer than the grid, so that padding is not rounded up
 REACH = 1.0 / 60.0  # of the side; nearer than this is touching
 FIRST_USE, BISECTIONS = 0.66, 5

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.asset import Asset, Mesh
-from scanrender.errors import ScanrenderError
+from scanrender.errors import ScanError, ScanrenderError, StageError
 from scanrender.images import Image
 from scanrender.scan.bake_albedo import ColorSource
 from scanrender.scan.bake_normals import NormalSource
@@ -27,17 +27,21 @@ from scanrender.scan.high import High, Low, make_high
 from scanrender.scan.ingest import read_scan
 from scanrender.scan.inspect import inspect_scan
 from scanrender.scan.journal import Journal, Progress
+from scanrender.scan.levels import make_lods
 from scanrender.scan.lost import surface_distance
+from scanrender.scan.mend import plain_surface
 from scanrender.scan.meshlab import count_self_intersections
+from scanrender.scan.neck import close_neck
 from scanrender.scan.oven import Oven, bake_maps, shape_values
 from scanrender.scan.parallel import Aside
 from scanrender.scan.project import make_projector
 from scanrender.scan.raw import RawMesh
 from scanrender.scan.report import atlas_report, color_error
 from scanrender.scan.simplify import simplify
+from scanrender.scan.skinmask import SkinMask, read_skin_mask
 from scanrender.scan.surface import Surface
 from scanrender.scan.tangents import vertex_tangents
-from scanrender.scan.topology import edges_of, vertex_normals
+from scanrender.scan.topology import components, edges_of, vertex_normals
 from scanrender.scan.unwrap import as_is_unwrapped, unwrap
 from scanrender.scan.views import make_views
 from scanrender.settings.prep import PrepSettings
@@ -46,6 +50,8 @@ from scanrender.settings.scan import ScanSettings
 Array = npt.NDArray[Any]
 
 MESHLAB_TIMEOUT_S = 60.0  # it only counts: not worth waiting for
+NOTABLE_MM = 0.2  # a surface moved by more shows in a portrait's outline
+LOOSE_SHARE = 0.1  # pieces to a triangle
 # Health is looked at beside the cleaning, with a mesh of its own: not where memory is short.
 HEALTH_MAX_BYTES = 250_000_000
 SIMPLIFIED_BYTES = 1_000_000  # a smaller file is hardly above any budget of triangles
@@ -82,13 +88,15 @@ def _prepared(
     with journal.stage("ingest") as notes:
         raw = read_scan(path, scan)
         notes.update(notes=list(raw.notes), color=raw.color_source)
+        mask = read_skin_mask(path, raw, prep.skin.mask) if prep.skin.mask is not None else None
         journal.warnings += raw.notes
     with journal.stage("clean") as notes:
         cleaned = clean(raw, scan, prep.clean)
         notes["steps"] = list(cleaned.steps)
         journal.warnings += cleaned.frame.warnings
     high, low, shape, lost = _shapes(cleaned, prep, journal, as_is)
-    maps, more = _baked(raw, high, low, shape, prep, journal, views)
+    lods, levels = _levels_of_detail(high, low, prep, journal)
+    maps, more = _baked(raw, high, low, shape, mask, prep, journal, views)
     lost.update(more)
     _warn_of_losses(lost, prep, low, journal)
     counts = _counts(raw, cleaned.surface, low)
@@ -104,9 +112,10 @@ def _prepared(
         "health": health.result() if health else None,
         "stages": journal.stages,
         "lost": lost,
+        "lods": levels,
         "warnings": journal.warnings,
     }
-    return Asset(low.mesh, maps, info)
+    return Asset(low.mesh, maps, info, lods)
 
 
 def _health(
@@ -134,7 +143,7 @@ def _shapes(
     """
     surface = cleaned.surface
     with ThreadPoolExecutor(1) as beside:
-        simple = beside.submit(_simplified, surface, prep, journal, as_is)
+        simple = beside.submit(_simplified, cleaned, prep, journal, as_is)
         unwrapped = beside.submit(
             lambda: _low_mesh(surface, *simple.result(), prep, journal, as_is)
         )
@@ -147,6 +156,7 @@ def _shapes(
         )
         with journal.stage("raw surface"):
             high = make_high(surface, prep.bake)
+            high.target.make_tree()  # while the collapse still runs beside this
         positions, faces = simple.result()
         with journal.stage("occlusion, thickness"):
             normals = vertex_normals(positions, faces)
@@ -159,20 +169,38 @@ def _shapes(
 
 
 def _simplified(
-    surface: Surface, prep: PrepSettings, journal: Journal, as_is: bool
+    cleaned: Cleaned, prep: PrepSettings, journal: Journal, as_is: bool
 ) -> tuple[Array, Array]:
     with journal.stage("simplify") as notes:
         if as_is:
             notes["method"] = "none: as is"
-            return surface.positions, surface.faces
-        positions, faces, report = simplify(surface, prep.simplify.triangles, prep.timeout_s)
+            return cleaned.surface.positions, cleaned.surface.faces
+        try:
+            positions, faces, report = simplify(cleaned.skin, prep.simplify, prep.timeout_s)
+        except StageError as error:
+            raise _loose(cleaned.skin) or error from error
         notes.update(report)
-        if report.get("over_budget"):
+        if report["over_budget"]:
             journal.warnings.append(
                 f"{len(faces)} triangles remain, more than prep.simplify.triangles: "
                 "fewer would damage the surface"
             )
+        journal.warnings += [f"after simplification {damage}" for damage in report["damage"]]
+        if cleaned.cap:
+            # Not simplified with it: the cap's edge has vertices of its own, and would come apart.
+            capped, notes["cap_faces"] = close_neck(plain_surface(positions, faces))
+            return capped.positions, capped.faces
         return positions, faces
+
+
+def _loose(surface: Surface) -> ScanError | None:
+    """What is wrong with a surface that cannot be simplified, when it is that it is none."""
+    count, _ = components(surface.faces, len(surface.positions))
+    if count < LOOSE_SHARE * len(surface.faces):
+        return None
+    size = len(surface.faces) / count
+    what = f"the scan is {count:,} loose pieces of {size:.1f} triangles each, no surface"
+    return ScanError(what, fix="weld it in the scanning software, or reconstruct it again")
 
 
 def _low_mesh(
@@ -198,11 +226,31 @@ def _low_mesh(
     return Low(positions, faces, normals, result, mesh)
 
 
+def _levels_of_detail(
+    high: High, low: Low, prep: PrepSettings, journal: Journal
+) -> tuple[list[Mesh], list[dict[str, Any]]]:
+    """Coarser meshes on the same atlas, and for each its triangles and errors in mm."""
+    if not prep.simplify.lods:
+        return [], []
+    with journal.stage("levels of detail") as notes:
+        meshes, slides, notes["problems"] = make_lods(low.mesh, prep.simplify.lods, prep.timeout_s)
+        journal.warnings += [f"no level of detail of {what}" for what in notes["problems"]]
+        levels = []
+        for mesh, slide in zip(meshes, slides, strict=True):
+            positions, faces = mesh.positions_mm.astype(np.float64), mesh.faces.astype(np.int64)
+            away = surface_distance(high.target, positions, faces)["symmetric_mm"]
+            levels.append(
+                {"triangles": len(faces), "error_mm": away["p99"], "texture_slide_mm": slide}
+            )
+        return meshes, levels
+
+
 def _baked(
     raw: RawMesh,
     high: High,
     low: Low,
     shape: dict[str, Array],
+    mask: SkinMask | None,
     prep: PrepSettings,
     journal: Journal,
     views: Path | None,
@@ -213,7 +261,7 @@ def _baked(
         oven.samples(bake.albedo_px)
     color = ColorSource(high.surface, raw.pages, bake.default_albedo)
     normals = NormalSource(high.surface, high.normals, raw.normal_pages)
-    lost = bake_maps(oven, high, shape, color, normals, bake, journal)
+    lost = bake_maps(oven, high, shape, color, normals, mask, bake, journal)
     with journal.stage("report") as notes:
         lost.update(atlas_report(low, bake.albedo_px))
         if prep.report == "full" and "albedo" in oven.maps:
@@ -242,10 +290,10 @@ def _counts(raw: RawMesh, surface: Surface, low: Low) -> dict[str, Any]:
 
 def _warn_of_losses(lost: dict[str, Any], prep: PrepSettings, low: Low, journal: Journal) -> None:
     error = lost["raw_to_prepared_mm"]["p99"]
-    if error > prep.simplify.error_mm:
+    if error > max(prep.simplify.error_mm, NOTABLE_MM):
         journal.warnings.append(
-            f"1 % of the raw surface is further than {error:.2f} mm from the prepared one "
-            f"(prep.simplify.error_mm {prep.simplify.error_mm:g}): raise prep.simplify.triangles"
+            f"1 % of the raw surface is further than {error:.2f} mm from the prepared one: "
+            "raise prep.simplify.triangles"
         )
     for failure in low.unwrapped.report.get("failed_rungs", []):
         journal.warnings.append(f"unwrapping fell back: {failure}")

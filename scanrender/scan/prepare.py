@@ -8,9 +8,10 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 from scanrender.asset import Asset, load_asset
+from scanrender.errors import ScanError
 from scanrender.files import atomic_folder, scratch_folder
 from scanrender.scan.child import run_worker
-from scanrender.scan.ingest import check_header
+from scanrender.scan.ingest import check_header, named
 from scanrender.settings.prep import PrepSettings
 from scanrender.settings.scan import ScanSettings
 
@@ -46,7 +47,10 @@ def prepare(
             "as_is": as_is,
         }
         (scratch / "job.json").write_text(json.dumps(job), encoding="utf-8")
-        run_worker(["prepare", str(scratch)], prep.timeout_s, progress, own_group=True)
+        try:
+            run_worker(["prepare", str(scratch)], prep.timeout_s, progress, own_group=True)
+        except ScanError as error:
+            raise named(error, path) from error
         for file in inner.iterdir():
             os.replace(file, folder / file.name)
         inner.rmdir()

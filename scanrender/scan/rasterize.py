@@ -6,14 +6,11 @@ that only covered texels are ever touched. Texel centres are at (i + 0.5) / size
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-
-from scanrender.scan.parallel import workers
 
 _CHUNK = 40_000
 
@@ -73,13 +70,10 @@ def spans(
     uv: npt.NDArray[Any], faces: npt.NDArray[Any], size: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32], npt.NDArray[np.float32]]:
     """Every (texel, face) pair: flat texel index, face, barycentric coordinates."""
-    # Threads do: NumPy lets go of the interpreter's lock within these long rows.
-    step = max(1, min(_CHUNK, -(-len(faces) // workers())))
-    with ThreadPoolExecutor(workers()) as pool:
-        starts = range(0, len(faces), step)
-        pieces = list(
-            pool.map(lambda start: _spans(uv, faces[start : start + step], size, start), starts)
-        )
+    pieces = [
+        _spans(uv, faces[start : start + _CHUNK], size, start)
+        for start in range(0, len(faces), _CHUNK)
+    ]
     if not pieces:
         return np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros((0, 3), np.float32)
     index, face, bary = (np.concatenate(part) for part in zip(*pieces, strict=True))

@@ -74,13 +74,17 @@ class Target:
             result[cut] = self._scene.run(rays, ways, reaches) >= 0
         return result
 
-    def nearest(self, points: Array) -> Hits:
-        """The closest point of the mesh to each of points (k, 3), with its distance in mm."""
+    def make_tree(self) -> None:
+        """What `nearest` needs, ahead of its first call."""
         import igl
 
         if self._tree is None:
             self._tree = igl.AABB()
             self._tree.init(self.positions, self.faces)
+
+    def nearest(self, points: Array) -> Hits:
+        """The closest point of the mesh to each of points (k, 3), with its distance in mm."""
+        self.make_tree()
         squared, face, closest = self._tree.squared_distance(
             self.positions, self.faces, np.ascontiguousarray(points, np.float64)
         )

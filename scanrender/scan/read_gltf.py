@@ -1,4 +1,4 @@
-"""glTF and GLB: every triangle of the default scene, node transforms applied, Draco decoded.
+"""glTF and GLB: every triangle of the default scene, nodes and skins applied, Draco decoded.
 
 Vertices come out in the file's own unit, which the specification fixes as metres with +Y up.
 """
@@ -13,14 +13,13 @@ import numpy.typing as npt
 
 from scanrender.errors import ScanError
 from scanrender.scan.gltf_file import GltfFile
+from scanrender.scan.gltf_scene import instances, skinned
 from scanrender.scan.pages import Page, constant_page
 from scanrender.scan.raw import NO_PAGE, RawMesh
 from scanrender.scan.triangulate import strip_faces
 
 Array = npt.NDArray[Any]
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
-_DEEPEST = 64
-_MOST_NODES = 100_000  # visited: nodes that share children multiply, and a few lines make 2^64
 _MOST_TRIANGLES = 1 << 28
 
 
@@ -30,12 +29,17 @@ def read_gltf(path: Path) -> RawMesh:
     notes: list[str] = []
     parts = _Parts()
     materials = _Materials(file, notes)
-    for mesh_index, matrix in _instances(file):
-        for primitive in file.json["meshes"][mesh_index].get("primitives", []):
+    for instance in instances(file):
+        for primitive in file.entry("meshes", instance.mesh).get("primitives", []):
             if primitive.get("mode", _TRIANGLES) not in (_TRIANGLES, _STRIP, _FAN):
                 notes.append("points and lines are ignored")
                 continue
-            parts.add(_primitive(file, primitive, materials), matrix)
+            part = _primitive(file, primitive, materials)
+            if instance.joints is not None and "joints" in part and "weights" in part:
+                part["positions"] = skinned(part, instance.joints, file.path)
+                parts.add(part, np.eye(4))  # the node of a skinned mesh does not move it
+            else:
+                parts.add(part, instance.matrix)
             if parts.triangles > _MOST_TRIANGLES:
                 raise ScanError(f"{path.name} has too many triangles", str(path), "export a part")
     if not parts.positions:
@@ -57,7 +61,7 @@ class _Materials:
         if material is None:
             return NO_PAGE, 0, {}
         if material not in self._known:
-            self._known[material] = self._read(self.file.json["materials"][material])
+            self._known[material] = self._read(self.file.entry("materials", material))
         return self._known[material]
 
     def _read(self, entry: dict[str, Any]) -> tuple[int, int, dict[str, Any]]:
@@ -66,6 +70,10 @@ class _Materials:
         glossy = entry.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
         if color is None and "diffuseTexture" in glossy:
             color, factor = glossy["diffuseTexture"], glossy.get("diffuseFactor", factor)
+        glow = entry.get("emissiveTexture")
+        if color is None and glow is not None:  # how exporters keep a photograph from being lit
+            color, factor = glow, entry.get("emissiveFactor", [1, 1, 1])
+            self.notes.append("a material has its image as light of its own: it is the colour here")
         rgb = (float(factor[0]), float(factor[1]), float(factor[2]))
         page = None
         if color is not None:
@@ -92,7 +100,9 @@ class _Materials:
         A material without an image gives its colour to the vertices. Beside an image, vertex
         colours are masks or leftovers far more often than tints of a scan: they are left out.
         """
-        colors = colors[:, :3].astype(np.float32)  # linear by the specification
+        # Linear by the specification, which also wants integers to be marked as fractions.
+        full = float(np.iinfo(colors.dtype).max) if colors.dtype.kind in "iu" else 1.0
+        colors = colors[:, :3].astype(np.float32) / np.float32(full)
         colors = colors / 255.0 if colors.max(initial=0.0) > 1.5 else colors
         if page == NO_PAGE:
             return colors, page
@@ -165,7 +175,13 @@ class _Parts:
 
 def _primitive(file: GltfFile, primitive: dict[str, Any], materials: _Materials) -> dict[str, Any]:
     page, channel, transform = materials.page(primitive.get("material"))
-    names = {"POSITION": "positions", f"TEXCOORD_{channel}": "uv", "COLOR_0": "colors"}
+    names = {
+        "POSITION": "positions",
+        f"TEXCOORD_{channel}": "uv",
+        "COLOR_0": "colors",
+        "JOINTS_0": "joints",
+        "WEIGHTS_0": "weights",
+    }
     draco = primitive.get("extensions", {}).get("KHR_draco_mesh_compression")
     if draco is not None:
         found, faces = _draco(file, draco, names)
@@ -178,8 +194,8 @@ def _primitive(file: GltfFile, primitive: dict[str, Any], materials: _Materials)
         uv = _transformed(uv, transform)
     if colors is not None:
         colors, page = materials.tinted(colors, page)
-    positions = found["positions"].astype(np.float64)
-    return {"positions": positions, "faces": faces, "uv": uv, "colors": colors, "page": page}
+    found.update(positions=found["positions"].astype(np.float64), faces=faces)
+    return {**found, "uv": uv, "colors": colors, "page": page}
 
 
 def _triangles(file: GltfFile, primitive: dict[str, Any], vertex_count: int) -> Array:
@@ -219,43 +235,3 @@ def _transformed(uv: Array, transform: dict[str, Any]) -> Array:
     c, s = np.cos(transform.get("rotation", 0.0)), np.sin(transform.get("rotation", 0.0))
     rotation = np.array([[c, s], [-s, c]])
     return np.asarray((uv * np.asarray(scale)) @ rotation.T + np.asarray(offset))
-
-
-def _instances(file: GltfFile) -> list[tuple[int, Array]]:
-    """(mesh index, world matrix) for each mesh node of the default scene."""
-    nodes, scenes = file.json.get("nodes", []), file.json.get("scenes", [])
-    if scenes:
-        roots = scenes[file.json.get("scene", 0)].get("nodes", [])
-    else:
-        children = {c for node in nodes for c in node.get("children", [])}
-        roots = [i for i in range(len(nodes)) if i not in children]
-    found, visited = [], 0
-    waiting = [(root, np.eye(4), 0) for root in reversed(roots)]
-    while waiting:
-        index, parent, depth = waiting.pop()
-        visited += 1
-        if depth > _DEEPEST or visited > _MOST_NODES:
-            raise ScanError(f"{file.path.name}: its nodes form a loop", str(file.path))
-        node = nodes[index]
-        matrix = parent @ _local(node)
-        if "mesh" in node:
-            found.append((node["mesh"], matrix))
-        waiting += [(child, matrix, depth + 1) for child in reversed(node.get("children", []))]
-    return found
-
-
-def _local(node: dict[str, Any]) -> Array:
-    if "matrix" in node:
-        return np.asarray(node["matrix"], np.float64).reshape(4, 4).T
-    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation * np.asarray(node.get("scale", (1.0, 1.0, 1.0)))
-    matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
-    return matrix

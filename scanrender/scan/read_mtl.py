@@ -2,22 +2,41 @@
 
 from __future__ import annotations
 
+import codecs
+import re
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PurePosixPath
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from scanrender.errors import ScanError
 from scanrender.scan.pages import Encoding, Page, constant_page, read_page
 from scanrender.scan.raw import NO_PAGE
 from scanrender.scan.safe_path import inside
 
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".tga", ".exr", ".webp")
 _MTL_BYTES = 16 << 20  # twenty materials are 4 KiB: a larger file is something else
+_MOST_PAGES = 32_767  # pages are numbered in 16 bits
+# How many words may follow an option of a texture map; of numbers, fewer are allowed.
+_OPTION_WORDS = {
+    "-blendu": 1, "-blendv": 1, "-bm": 1, "-boost": 1, "-cc": 1, "-clamp": 1, "-colorspace": 1,
+    "-imfchan": 1, "-mm": 2, "-o": 3, "-s": 3, "-t": 3, "-texres": 1, "-type": 1,
+}  # fmt: skip
+_NUMBERS_ONLY = ("-bm", "-boost", "-mm", "-o", "-s", "-t", "-texres")
+_TILE = re.compile(r"(?<!\d)1001(?!\d)")
 Material = dict[str, str]
-# Per polygon page of the OBJ: pages, the normal map of each or None, page index of each polygon.
-Paged = tuple[tuple[Page, ...], tuple[Page | None, ...], npt.NDArray[np.int16]]
+
+
+class Paged(NamedTuple):
+    """The pages of an OBJ, the normal map of each or None, the page of each polygon, and of pages
+    that are one tile of several (UDIM) the file name with `<UDIM>` for its number."""
+
+    pages: tuple[Page, ...]
+    normals: tuple[Page | None, ...]
+    page: npt.NDArray[np.int16]
+    tiled: dict[int, tuple[str, str | None]]
 
 
 @dataclass
@@ -29,6 +48,7 @@ class _Shelf:
     pages: list[Page] = field(default_factory=list)
     normals: list[Page | None] = field(default_factory=list)
     index_of: dict[str, int] = field(default_factory=dict)
+    tiled: dict[int, tuple[str, str | None]] = field(default_factory=dict)
 
     def index(self, name: str, material: Material) -> int:
         """The page of a material, or NO_PAGE when it has neither an image nor a telling colour."""
@@ -39,11 +59,19 @@ class _Shelf:
     def _add(self, name: str, material: Material) -> int:
         color = self._image(name, material, "map_kd", "srgb")
         if color is None:
-            rgb = tuple(float(x) for x in material.get("kd", "").split()[:3] or (1.0, 1.0, 1.0))
+            rgb = _color(material.get("kd", ""))
             # A grey Kd is every exporter's default and says nothing about skin.
-            if len(rgb) < 3 or max(rgb) - min(rgb) < 0.02:
+            if max(rgb) - min(rgb) < 0.02:
                 return NO_PAGE
-            color = constant_page(name, (rgb[0], rgb[1], rgb[2]))
+            color = constant_page(name, rgb)
+        elif tile := tile_pattern(material["map_kd"]):
+            self.tiled[len(self.pages)] = tile, tile_pattern(material.get("normal", ""))
+        if len(self.pages) == _MOST_PAGES:
+            raise ScanError(
+                f"{self.path.name} has more than {_MOST_PAGES} materials",
+                str(self.path),
+                "bake them into one texture",
+            )
         self.pages.append(color)
         self.normals.append(self._image(name, material, "normal", "linear"))
         return len(self.pages) - 1
@@ -51,11 +79,41 @@ class _Shelf:
     def _image(self, name: str, material: Material, key: str, encoding: Encoding) -> Page | None:
         if key not in material:
             return None
-        file = inside(self.path.parent, material[key], self.path)
+        named = material[key]
+        file = self._file(named) or self._file(named.split(" #", 1)[0])
         if file is None:
-            self.notes.append(f"material {name} names {material[key]}, which is missing")
-            return None
-        return read_page(file, encoding)
+            what = f"material {name} names {named}, which is missing"
+            stem = PurePosixPath(named.replace("\\", "/")).stem
+            others = (inside(self.path.parent, stem + x, self.path) for x in _IMAGE_SUFFIXES)
+            file = next((other for other in others if other is not None), None)
+            self.notes.append(what if file is None else f"{what}: {file.name} is used")
+        return None if file is None else read_page(file, encoding)
+
+    def _file(self, named: str) -> Path | None:
+        named = tile_name(tile_pattern(named) or named, 1001)
+        return inside(self.path.parent, named, self.path)
+
+
+def tile_pattern(name: str) -> str | None:
+    """`skin.<UDIM>.png` of that, of `skin.<udim>.png` and of `skin.1001.png`; else None."""
+    name = re.sub("<udim>", "<UDIM>", name, flags=re.IGNORECASE)
+    if "<UDIM>" not in name:
+        folder, slash, last = name.rpartition("/")
+        name = folder + slash + _TILE.sub("<UDIM>", last, count=1)
+    return name if "<UDIM>" in name else None
+
+
+def tile_name(pattern: str, number: int) -> str:
+    return pattern.replace("<UDIM>", str(number))
+
+
+def _color(words: str) -> tuple[float, float, float]:
+    """Kd, white where it is not three numbers (`spectral file.rfl`, `xyz ...`)."""
+    try:
+        red, green, blue = (float(word) for word in words.split()[:3])
+    except ValueError:
+        return 1.0, 1.0, 1.0
+    return red, green, blue
 
 
 def read_materials(
@@ -87,7 +145,7 @@ def read_materials(
         notes.append(f"no material names a texture: {image.name}, beside the scan, is used")
         shelf.pages, shelf.normals = [read_page(image)], [None]
         page[:] = 0
-    return tuple(shelf.pages), tuple(shelf.normals), page
+    return Paged(tuple(shelf.pages), tuple(shelf.normals), page, shelf.tiled)
 
 
 def _only_textured(shelf: _Shelf, materials: dict[str, Material], page: npt.NDArray[Any]) -> None:
@@ -126,9 +184,9 @@ def read_mtl(path: Path) -> dict[str, Material]:
     """Materials by name: `map_kd`, `normal` (a tangent-space map) as file names, and `kd`."""
     materials: dict[str, Material] = {}
     current: Material = {}
-    with path.open(encoding="utf-8", errors="replace") as stream:
-        text = stream.read(_MTL_BYTES)
-    for line in text.splitlines():
+    with path.open("rb") as stream:
+        text = decoded(stream.read(_MTL_BYTES))
+    for line in text.replace("\\\n", " ").splitlines():
         words = line.split(None, 1)
         if len(words) < 2:
             continue
@@ -153,22 +211,34 @@ def read_mtl(path: Path) -> dict[str, Material]:
     return materials
 
 
+def decoded(text: bytes) -> str:
+    """Text whose encoding nobody states: Unicode by its mark, UTF-8, or what Windows wrote."""
+    if text[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        return text.decode("utf-16", "replace")
+    try:
+        return text.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return text.decode("cp1252", "replace")
+
+
 def _texture_name(value: str) -> str:
     """The file name after options such as `-bm 1.0` or `-o 0 0 0`; names may hold blanks."""
-    words = value.split(" ")
-    index = 0
-    while index < len(words) and words[index].startswith("-"):
-        index += 1
-        while index < len(words) - 1 and _is_option_value(words[index]):
-            index += 1
-    return " ".join(words[index:]).strip() or value
+    rest = value
+    while (option := rest.split(None, 1)) and option[0].lower() in _OPTION_WORDS:
+        key, rest = option[0].lower(), option[1] if len(option) > 1 else ""
+        for _ in range(_OPTION_WORDS[key]):
+            word = rest.split(None, 1)
+            if len(word) < 2 or (key in _NUMBERS_ONLY and not _is_number(word[0])):
+                break
+            rest = word[1]
+    return rest.strip() or value
 
 
-def _is_option_value(word: str) -> bool:
+def _is_number(word: str) -> bool:
     try:
         float(word)
     except ValueError:
-        return word in ("on", "off", "")
+        return False
     return True
 
 
@@ -180,6 +250,6 @@ def lone_image(path: Path) -> Path | None:
     same = [f for f in found if f.stem.lower() == path.stem.lower()]
     if same:
         return same[0]
-    color = [f for f in found if "norm" not in f.name.lower()]
+    color = [f for f in found if not any(word in f.name.lower() for word in ("norm", "mask"))]
     objects = [f for f in files if f.suffix.lower() == path.suffix.lower()]
     return color[0] if len(color) == 1 and len(objects) == 1 else None

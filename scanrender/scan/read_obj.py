@@ -1,23 +1,27 @@
 """Wavefront OBJ: polygons, several materials, vertex colours, negative indices; MTL: `read_mtl`.
 
 The text is classified line by line once, then numbers are parsed in bulk by NumPy: about 2 s per
-million triangles.
+million triangles. Vertex colours are `v x y z r g b`, or ZBrush's `#MRGB` comments.
 """
 
 from __future__ import annotations
 
+import codecs
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from scanrender.errors import ScanError
-from scanrender.images import linear_from_srgb
 from scanrender.scan.raw import RawMesh
-from scanrender.scan.read_mtl import read_materials
-from scanrender.scan.triangulate import fan_corners
+from scanrender.scan.read_mtl import decoded, read_materials
+from scanrender.scan.triangulate import polygon_corners
+from scanrender.scan.udim import unfold_tiles
+from scanrender.scan.vertex_colors import colors_from_stored
+from scanrender.scan.words import floats, integers
+
+_LONG = 80  # letters of a bad line that are quoted
 
 
 @dataclass
@@ -31,6 +35,16 @@ class _Lines:
     switches: list[tuple[int, str]] = field(default_factory=list)
     counts: list[tuple[int, int]] = field(default_factory=list)
     libraries: list[str] = field(default_factory=list)
+    polypaint: list[bytes] = field(default_factory=list)
+
+
+def _text(path: Path) -> bytes:
+    """The file as UTF-8 without its byte order mark, each statement on one line."""
+    text = path.read_bytes()
+    if text[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):  # what PowerShell's `>` writes
+        text = decoded(text).encode()
+    text = text.removeprefix(codecs.BOM_UTF8)
+    return text.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
 
 
 def _sorted_lines(text: bytes, relative: bool) -> _Lines:
@@ -46,80 +60,100 @@ def _sorted_lines(text: bytes, relative: bool) -> _Lines:
             found.polygons.append(line[2:].split(b"#", 1)[0])
             if relative:
                 found.counts.append((len(found.vertices), len(found.texture)))
-        elif line[:6] == b"usemtl":
-            name = line[6:].decode("utf-8", "replace").strip()
+        elif key == b"#M" and line[:6] == b"#MRGB ":
+            found.polypaint.append(line[6:].strip())
+        elif (word := line[:6].lower()) == b"usemtl":
+            name = decoded(line[6:]).strip()
             found.switches.append((len(found.polygons), name))
-        elif line[:6] == b"mtllib":
-            found.libraries.append(line[6:].decode("utf-8", "replace").strip())
+        elif word == b"mtllib":
+            found.libraries.append(decoded(line[6:]).strip())
     return found
 
 
 def read_obj(path: Path) -> RawMesh:
     """Read an OBJ. Raises ScanError for what cannot be parsed."""
-    text = path.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    text = _text(path)
     relative = b" -" in text or b"/-" in text  # negative indices need the running counts
     lines = _sorted_lines(text, relative)
     vertices, texture, polygons = lines.vertices, lines.texture, lines.polygons
     if not vertices or not polygons:
         missing = "vertices" if not vertices else "faces"
         raise ScanError(f"{path.name} has no {missing}", str(path), "export it again as a mesh")
-    table = _floats(vertices, path, "v")
+    table = _floats(vertices, path, "v", 3)
     running = lines.counts if relative else None
     corners, sizes = _corners(polygons, running, len(table), len(texture), path)
-    triangles = fan_corners(sizes)
+    triangles = polygon_corners(sizes, corners[:, 0], table[:, :3])
     polygon_of = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
     notes: list[str] = []
-    pages, normal_pages, page = read_materials(
-        path, lines.libraries, lines.switches, len(polygons), notes
-    )
+    paged = read_materials(path, lines.libraries, lines.switches, len(polygons), notes)
+    page = paged.page[polygon_of]
     corner_uv = None
     if texture and (corners[:, 1] >= 0).any():
-        uv = _floats(texture, path, "vt")[:, :2]
+        uv = _floats(texture, path, "vt", 2)[:, :2]
         uv = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1)
         corner_uv = np.where(
             (corners[:, 1] >= 0)[:, None], uv[np.maximum(corners[:, 1], 0)], np.nan
         )[triangles].astype(np.float32)
-    colors = None
-    if table.shape[1] >= 6:
-        colors = _colors(table[:, 3:6], notes)
+        paged, page, corner_uv = unfold_tiles(paged, page, corner_uv, path, notes)
     return RawMesh(
         positions=np.ascontiguousarray(table[:, :3]),
         faces=corners[triangles, 0],
         corner_uv=corner_uv,
-        page=page[polygon_of],
-        pages=pages,
-        normal_pages=normal_pages,
-        colors=colors,
+        page=page,
+        pages=paged.pages,
+        normal_pages=paged.normals,
+        colors=_colors(table, lines.polypaint, notes),
         notes=tuple(notes),
     )
 
 
-def _colors(stored: npt.NDArray[Any], notes: list[str]) -> npt.NDArray[np.float32] | None:
-    """`v x y z r g b`: sRGB in [0, 1], or in [0, 255] as some exporters write."""
-    known = np.isfinite(stored).all(axis=1)
-    if not known.any():
-        notes.append("the vertex colours are not numbers: they are ignored")
-        return None
-    if not known.all():
-        notes.append(f"{int((~known).sum())} vertices have no colour: they take the mean one")
-        stored = np.where(known[:, None], stored, stored[known].mean(axis=0))
-    scale = 255.0 if stored.max() > 1.5 else 1.0
-    return np.asarray(linear_from_srgb(stored / scale), np.float32)
+def _colors(
+    table: npt.NDArray[np.float64], polypaint: list[bytes], notes: list[str]
+) -> npt.NDArray[np.float32] | None:
+    """`v x y z r g b`: sRGB in [0, 1], or in [0, 255] as some exporters write; or polypaint,
+    eight hexadecimal digits MMRRGGBB a vertex, where MM is a mask."""
+    if table.shape[1] >= 6:
+        return colors_from_stored(table[:, 3:6], None, notes)
+    if polypaint:
+        try:
+            packed = np.frombuffer(bytes.fromhex(b"".join(polypaint).decode("ascii")), np.uint8)
+        except ValueError:
+            packed = np.zeros(0, np.uint8)
+        if len(packed) == 4 * len(table):
+            return colors_from_stored(packed.reshape(-1, 4)[:, 1:], 255.0, notes)
+        notes.append("the colours in #MRGB lines are not one a vertex: they are ignored")
+    return None
 
 
-def _floats(lines: list[bytes], path: Path, key: str) -> npt.NDArray[np.float64]:
-    """(n, columns) numbers; lines of different length are cut or padded to the first one's."""
-    width = len(lines[0].split())
+def _floats(lines: list[bytes], path: Path, key: str, least: int) -> npt.NDArray[np.float64]:
+    """(n, columns) numbers, of `least` columns or more; what a shorter line leaves out is NaN."""
+    widths = set(map(len, map(bytes.split, lines)))
+    width = max(widths)
+    if len(widths) == 1 and width >= least:
+        try:
+            return floats(b" ".join(lines).split()).reshape(-1, width)
+        except ValueError:  # a comment at the end of a line, or no numbers
+            pass
+    rows = [line.split(b"#", 1)[0].split() for line in lines]
+    width = max(least, *map(len, rows))
     try:
-        flat = np.array(b" ".join(lines).split(), dtype="S").astype(np.float64)
-        if len(flat) == width * len(lines) and width >= 2:
-            return flat.reshape(-1, width)
-        rows = [(line.split(b"#", 1)[0].split() + [b"nan"] * width)[:width] for line in lines]
-        return np.array(rows, dtype="S").astype(np.float64).reshape(-1, width)
+        flat = floats([word for row in rows for word in row + [b"nan"] * (width - len(row))])
     except ValueError as error:
+        bad = next((line for line, row in zip(lines, rows, strict=True) if not _numeric(row)), b"")
+        shown = decoded(bad).strip()[:_LONG]
         raise ScanError(
-            f"{path.name}: a '{key}' line is not made of numbers", str(path), "export it again"
+            f"{path.name}: a '{key}' line is not made of numbers: {shown!r}",
+            str(path),
+            "export it again, with a point as the decimal sign",
         ) from error
+    return flat.reshape(-1, width)
+
+
+def _numeric(row: list[bytes]) -> bool:
+    try:
+        return bool(len(floats(row)) == len(row))
+    except ValueError:
+        return False
 
 
 def _corners(
@@ -157,11 +191,11 @@ def _indices(flat: list[bytes]) -> npt.NDArray[np.int64]:
     joined = b" ".join(flat)
     if len(slashes) == 1 and joined.count(b"/") == len(flat) * (count := slashes.pop()):
         if count == 0:
-            vertex = np.array(flat, dtype="S").astype(np.int64)
+            vertex = integers(flat)
             return np.stack([vertex, np.zeros_like(vertex)], axis=1)
         numbers = joined.replace(b"//", b"/0/").replace(b"/", b" ").split()
         if len(numbers) == len(flat) * (count + 1):
-            table = np.array(numbers, dtype="S").astype(np.int64).reshape(-1, count + 1)
+            table = integers(numbers).reshape(-1, count + 1)
             return np.ascontiguousarray(table[:, :2])
     rows = [[*token.split(b"/"), b"", b""][:2] for token in flat]
-    return np.array([[int(row[0]), int(row[1] or 0)] for row in rows], np.int64)
+    return integers([word or b"0" for row in rows for word in row]).reshape(-1, 2)

@@ -12,7 +12,9 @@ import numpy.typing as npt
 from scanrender.errors import ScanError
 from scanrender.images import linear_from_srgb
 from scanrender.scan.raw import RawMesh
-from scanrender.scan.triangulate import fan_corners, onto_vertices
+from scanrender.scan.triangulate import onto_vertices, polygon_corners
+from scanrender.scan.vertex_colors import colors_from_stored
+from scanrender.scan.words import floats, integers
 
 _NUMBER = rb"[-+0-9.eEnaifNAIF]+"
 _VERTEX = re.compile(rb"vertex\s+(%b)\s+(%b)\s+(%b)" % (_NUMBER, _NUMBER, _NUMBER), re.IGNORECASE)
@@ -26,18 +28,20 @@ Colors = npt.NDArray[np.float32] | None
 def read_stl(path: Path) -> RawMesh:
     """Read an STL: three own vertices per face, welded later. Raises ScanError."""
     data = path.read_bytes()
+    notes: list[str] = []
+    colors = None
     count = int(np.frombuffer(data, "<u4", 1, 80)[0]) if len(data) >= 84 else -1
     size = 84 + _RECORD.itemsize * max(count, 0)
     # "solid" also begins many binary files: the size, and facets in words, are better evidence.
     words = data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:65536].lower()
     if count >= 0 and len(data) == size:
-        corners = np.frombuffer(data, _RECORD, count, 84)["corner"].astype(np.float64)
+        corners, colors = _binary_facets(data, count, notes)
     elif words:
         corners = _ascii_corners(data, path)
     elif data.lstrip()[:5].lower() == b"solid" and b"endsolid" in data.lower():
         corners = np.zeros((0, 3, 3))
     elif count >= 0 and len(data) > size > 84:
-        corners = np.frombuffer(data, _RECORD, count, 84)["corner"].astype(np.float64)
+        corners, colors = _binary_facets(data, count, notes)
     else:
         raise ScanError(
             f"{path.name} ends before its {max(count, 0)} triangles do",
@@ -45,14 +49,37 @@ def read_stl(path: Path) -> RawMesh:
             "the file was cut short: copy or export it again",
         )
     faces = np.arange(3 * len(corners)).reshape(-1, 3)
-    return RawMesh(corners.reshape(-1, 3), faces)
+    return RawMesh(corners.reshape(-1, 3), faces, colors=colors, notes=tuple(notes))
+
+
+def _binary_facets(data: bytes, count: int, notes: list[str]) -> tuple[Array, Colors]:
+    """Corners (m, 3, 3), and colours (3 m, 3) where the attribute of the facets holds five bits of
+    each: Magics' (`COLOR=` in the header, red lowest, bit 15 for the header's own colour), or
+    VisCAM's (blue lowest, bit 15 where there is a colour)."""
+    table = np.frombuffer(data, _RECORD, count, 84)
+    attribute = table["attribute"].astype(np.int64)
+    fives = np.stack([attribute & 31, attribute >> 5 & 31, attribute >> 10 & 31], axis=1) / 31.0
+    marked = attribute >= 1 << 15
+    place = data[:80].find(b"COLOR=")
+    if 0 <= place <= 70:
+        whole = np.frombuffer(data, np.uint8, 3, place + 6) / 255.0
+        shades = np.where(marked[:, None], whole, fives)
+    elif count and marked.mean() > 0.5:
+        shades = np.where(marked[:, None], fives[:, ::-1], np.nan)
+    else:  # anything else in those two bytes is no colour: many programs leave rubbish there
+        shades = None
+    colors = None
+    if shades is not None:
+        colors = colors_from_stored(np.repeat(shades, 3, axis=0), 1.0, notes)
+        notes.append("the scan is coloured per face: averaged onto its vertices")
+    return table["corner"].astype(np.float64), colors
 
 
 def _ascii_corners(data: bytes, path: Path) -> Array:
     found = _VERTEX.findall(data)
     if len(found) % 3 or len(found) < sum(1 for _ in _VERTEX_WORD.finditer(data)):
         raise ScanError(f"{path.name} ends inside a triangle", str(path), "export it again")
-    return np.array(found, dtype="S").astype(np.float64).reshape(-1, 3, 3)
+    return floats([word for corner in found for word in corner]).reshape(-1, 3, 3)
 
 
 def read_off(path: Path) -> RawMesh:
@@ -79,14 +106,16 @@ def read_off(path: Path) -> RawMesh:
             "the file was cut short: copy or export it again",
         )
     rows = body[:vertices]
-    positions = np.array([row[:3] for row in rows], dtype="S").astype(np.float64).reshape(-1, 3)
+    if any(len(row) < 3 for row in rows):
+        raise ScanError(f"{path.name}: a vertex line is cut short", str(path), "export it again")
+    positions = floats([word for row in rows for word in row[:3]]).reshape(-1, 3)
     face_rows = body[vertices : vertices + polygons]
     sizes = np.array([int(row[0]) for row in face_rows], np.int64)
     if any(n < 0 or n >= len(row) for n, row in zip(sizes, face_rows, strict=True)):
         raise ScanError(f"{path.name}: a face line is cut short", str(path), "export it again")
     flat = [index for row, n in zip(face_rows, sizes, strict=True) for index in row[1 : n + 1]]
-    corners = np.array(flat, dtype="S").astype(np.int64) if flat else np.zeros(0, np.int64)
-    faces = corners[fan_corners(sizes)]
+    corners = integers(flat)
+    faces = corners[polygon_corners(sizes, corners, positions)]
     colors, notes = _vertex_colors(kind, rows), []
     if colors is None:
         per_face = _face_colors(face_rows, sizes)
@@ -101,9 +130,8 @@ def _vertex_colors(kind: bytes, rows: list[list[bytes]]) -> Colors:
     start = 6 if b"N" in kind else 3
     if b"C" not in kind or not rows or min(map(len, rows)) < start + 3:
         return None
-    stored = np.array([row[start : start + 3] for row in rows], dtype="S").astype(np.float64)
-    scale = 255.0 if stored.max() > 1.5 else 1.0
-    return np.asarray(linear_from_srgb(stored / scale), np.float32)
+    stored = floats([word for row in rows for word in row[start : start + 3]]).reshape(-1, 3)
+    return colors_from_stored(stored, None, [])
 
 
 def _face_colors(rows: list[list[bytes]], sizes: npt.NDArray[np.int64]) -> Colors:
@@ -112,6 +140,6 @@ def _face_colors(rows: list[list[bytes]], sizes: npt.NDArray[np.int64]) -> Color
     tails = [row[n + 1 : n + 4] for row, n in zip(rows, sizes, strict=True)]
     if not tails or min(map(len, tails)) < 3:
         return None
-    stored = np.array(tails, dtype="S").astype(np.float64)
+    stored = floats([word for tail in tails for word in tail]).reshape(-1, 3)
     whole = not any(b"." in value for tail in tails[:64] for value in tail)
     return np.asarray(linear_from_srgb(stored / (255.0 if whole else 1.0)), np.float32)

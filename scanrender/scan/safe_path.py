@@ -54,15 +54,20 @@ def _short(reference: str) -> str:
 
 
 def _find(folder: Path, name: str) -> Path | None:
-    path = folder / name
+    """The file of that name below `folder`, in any case; no other folder is ever listed."""
+    path, root = folder, folder.resolve()
     try:
-        if path.is_file():
-            return path
-        if path.parent.is_dir():
-            wanted = path.name.lower()
-            for other in sorted(path.parent.iterdir()):
-                if other.name.lower() == wanted and other.is_file():
-                    return other
+        for part in PurePosixPath(name).parts:
+            found = path / part
+            if not found.exists():
+                if not (path.is_dir() and path.resolve().is_relative_to(root)):
+                    return None
+                wanted = part.lower()
+                alike = sorted(x for x in path.iterdir() if x.name.lower() == wanted)
+                if not alike:
+                    return None
+                found = alike[0]
+            path = found
+        return path if path.is_file() else None
     except (OSError, ValueError):  # a name too long, or with a NUL in it
         return None
-    return None

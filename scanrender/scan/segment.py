@@ -30,6 +30,7 @@ Array = npt.NDArray[Any]
 NORMAL_SCALE = 0.055
 SMOOTHING_SWEEPS = 30
 SMALLEST_SHARE = 0.004
+STRAIGHTENING_SWEEPS = 4
 
 
 def segment(
@@ -56,7 +57,7 @@ def segment(
     centers, _ = kmeans2(features[drawn], min(pieces, count), minit="++", iter=20, rng=rng)
     label = _nearest(features, centers)
     label[whole] = len(centers)
-    for _ in range(4):
+    for _ in range(STRAIGHTENING_SWEEPS):
         label = np.where(whole, label, _majority(label, first, second, count))
     return merge_small(pieces_of(label, first, second), first, second, positions, faces)
 
@@ -67,10 +68,16 @@ def split_in_two(positions: Array, faces: Array) -> Array:
     offset = centroid - centroid.mean(axis=0)
     _, _, axes = np.linalg.svd(offset, full_matrices=False)
     along = offset @ axes[0]
-    half = along > np.median(along)
-    if half.all() or not half.any():
-        half = np.arange(len(faces)) >= len(faces) // 2
-    return np.asarray(half, np.int64)
+    half = np.asarray(along > np.median(along), np.int64)
+    first, second, _ = face_pairs(faces)
+    # A jagged border crosses itself when it is laid flat.
+    straight = half
+    for _ in range(STRAIGHTENING_SWEEPS):
+        straight = _majority(straight, first, second, len(faces))
+    for label in (straight, half):
+        if 0 < label.sum() < len(faces):
+            return label
+    return np.asarray(np.arange(len(faces)) >= len(faces) // 2, np.int64)
 
 
 def edge_components(faces: Array) -> Array:

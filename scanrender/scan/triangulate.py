@@ -7,12 +7,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+_MOST_CORNERS = 256  # of a polygon whose ears are cut one by one; a larger one stays a fan
+Array = npt.NDArray[Any]
+
 
 def fan_corners(sizes: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
     """Corner indices (t, 3) of the triangle fans of polygons laid end to end.
 
     sizes (p,): corners per polygon; polygons of fewer than 3 corners give no triangle. The fan
-    starts at each polygon's first corner: exact for convex ones, which scanners' quads are.
+    starts at each polygon's first corner: exact for convex ones.
     """
     sizes = np.asarray(sizes, np.int64)
     starts = np.cumsum(sizes) - sizes
@@ -20,6 +23,67 @@ def fan_corners(sizes: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
     first = np.repeat(starts, triangles)
     step = np.arange(triangles.sum()) - np.repeat(np.cumsum(triangles) - triangles, triangles)
     return np.stack([first, first + step + 1, first + step + 2], axis=1)
+
+
+def polygon_corners(sizes: Array, vertex: Array, positions: Array) -> npt.NDArray[np.int64]:
+    """The same (t, 3) of polygons of any shape: a fan where it lies within the polygon, else ears.
+
+    vertex (c,): the vertex of each corner; corners that name none (-1 or too large) decide nothing.
+    Ear clipping: Meisters: Polygons Have Ears, American Mathematical Monthly 82(6), 1975.
+    """
+    sizes, triangles = np.asarray(sizes, np.int64), fan_corners(sizes)
+    if not len(triangles) or int(sizes.max()) <= 3:
+        return triangles
+    polygon_of = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
+    many = np.flatnonzero(sizes[polygon_of] > 3)
+    known = (vertex >= 0) & (vertex < len(positions))
+    place = positions[np.where(known, vertex, 0)]
+    a, b, c = (place[triangles[many, i]] for i in range(3))
+    with np.errstate(invalid="ignore", over="ignore"):
+        normal = np.cross(b - a, c - a)
+        # The fan's sum is the vector area of the polygon, wherever the fan begins.
+        owner = polygon_of[many]
+        total = np.stack([np.bincount(owner, normal[:, k], len(sizes)) for k in range(3)], axis=1)
+        against = np.einsum("ij,ij->i", normal, total[owner]) < 0.0
+    first = np.cumsum(sizes) - sizes
+    row = np.cumsum(np.maximum(sizes - 2, 0)) - np.maximum(sizes - 2, 0)
+    for polygon in np.unique(owner[against]):
+        size, start = int(sizes[polygon]), int(first[polygon])
+        if size <= _MOST_CORNERS:
+            ears = _ears(place[start : start + size], total[polygon])
+            triangles[row[polygon] : row[polygon] + size - 2] = start + ears
+    return triangles
+
+
+def _ears(polygon: Array, normal: Array) -> npt.NDArray[np.int64]:
+    """(n - 2, 3) corners of the triangles of a polygon (n, 3), seen along its normal."""
+    axis = int(np.abs(normal).argmax())
+    flat = np.delete(polygon, axis, axis=1)
+    if (normal[axis] < 0.0) != (axis == 1):
+        flat = flat[:, ::-1]
+    points = [(float(x), float(y)) for x, y in flat]
+    left = list(range(len(points)))
+    found = []
+    while len(left) > 3:
+        for i in range(len(left)):
+            ear = left[i - 1], left[i], left[(i + 1) % len(left)]
+            corner = [points[k] for k in ear]
+            others = (points[k] for k in left if k not in ear)
+            if _turn(*corner) > 0.0 and not any(_within(corner, other) for other in others):
+                break
+        else:  # it crosses itself: nothing is right
+            i, ear = 1, (left[0], left[1], left[2])
+        found.append(ear)
+        del left[i]
+    return np.array([*found, tuple(left)], np.int64)
+
+
+def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _within(corner: list[tuple[float, float]], point: tuple[float, float]) -> bool:
+    return all(_turn(corner[i - 1], corner[i], point) >= 0.0 for i in range(3))
 
 
 def strip_faces(indices: npt.NDArray[Any], restart: int = -1) -> npt.NDArray[np.int64]:

@@ -22,18 +22,24 @@ import numpy as np
 
 from scanrender.errors import ScanrenderError
 from scanrender.scan.child import GO, LATER, PARENT
+from scanrender.scan.memory import OUT_OF_MEMORY, limit_memory
 
 Table = dict[str, Any]
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
-_CGROUP_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 # (arrays, parameters) -> (arrays, report)
 Task = Callable[[Table, Table], tuple[Table, Table]]
 
 
 def _simplify(arrays: Table, params: Table) -> tuple[Table, Table]:
-    from scanrender.scan.simplify import quadric_simplify
+    from scanrender.scan.collapse import collapse_task
 
-    return quadric_simplify(arrays, params)
+    return collapse_task(arrays, params)
+
+
+def _lods(arrays: Table, params: Table) -> tuple[Table, Table]:
+    from scanrender.scan.lods import lods_task
+
+    return lods_task(arrays, params)
 
 
 def _charts(arrays: Table, params: Table) -> tuple[Table, Table]:
@@ -60,6 +66,12 @@ def _self_intersections(arrays: Table, params: Table) -> tuple[Table, Table]:
     return self_intersections(arrays, params)
 
 
+def _plain(arrays: Table, params: Table) -> tuple[Table, Table]:
+    from scanrender.scan.plain import plain_call
+
+    return plain_call(arrays, params)
+
+
 def _fail(arrays: Table, params: Table) -> tuple[Table, Table]:
     """For tests: die or hang as native libraries do."""
     import time
@@ -68,6 +80,8 @@ def _fail(arrays: Table, params: Table) -> tuple[Table, Table]:
         time.sleep(params.get("seconds", 60.0))
     elif params["how"] == "raise":
         raise ValueError("asked to fail")
+    elif params["how"] == "allocate":
+        np.ones(params["mib"] << 17)
     else:
         os.kill(os.getpid(), getattr(signal, params["how"]))
     return {}, {}
@@ -75,10 +89,12 @@ def _fail(arrays: Table, params: Table) -> tuple[Table, Table]:
 
 TASKS: dict[str, Task] = {
     "simplify": _simplify,
+    "lods": _lods,
     "charts": _charts,
     "xatlas": _xatlas,
     "pack": _pack,
     "self_intersections": _self_intersections,
+    "plain": _plain,
     "fail": _fail,
 }
 
@@ -112,7 +128,7 @@ def main(arguments: list[str]) -> int:
         protocol.write(json.dumps({"error": {"kind": type(error).__name__, **document}}) + "\n")
         return error.exit_code
     except MemoryError:
-        _write_error(protocol, f"the stage '{stage[0]}' ran out of memory")
+        _write_error(protocol, f"the stage '{stage[0]}' ran out of memory", OUT_OF_MEMORY)
         return 5
     except Exception as error:  # noqa: BLE001  the parent must get a sentence, whatever a library raised
         traceback.print_exc()
@@ -161,28 +177,10 @@ def watch_parent() -> None:
     threading.Thread(target=wait, daemon=True).start()
 
 
-def limit_memory() -> None:
-    """No more data than the machine (or its container) has: a MemoryError beats the OOM killer."""
-    limits = []
-    with contextlib.suppress(OSError, ValueError, AttributeError):
-        limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    for file in _CGROUP_LIMITS:
-        with contextlib.suppress(OSError, ValueError):
-            limits.append(int(Path(file).read_text(encoding="ascii")))
-    try:
-        import resource
-    except ImportError:  # Windows
-        return
-    if limits:
-        _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-        limit = min(limits) if hard == resource.RLIM_INFINITY else min(*limits, hard)
-        with contextlib.suppress(OSError, ValueError):
-            resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
-
-
-def _write_error(protocol: Any, what: str) -> None:
+def _write_error(protocol: Any, what: str, fix: str | None = None) -> None:
+    error = {"kind": "StageError", "what": what, "fix": fix}
     with contextlib.suppress(OSError):
-        protocol.write(json.dumps({"error": {"kind": "StageError", "what": what}}) + "\n")
+        protocol.write(json.dumps({"error": error}) + "\n")
 
 
 def _run(task: str, folder: Path) -> None:
@@ -203,6 +201,8 @@ def _prepare(folder: Path, protocol: Any, current: list[str]) -> None:
     from scanrender.settings.scan import ScanSettings
 
     job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
+    prep = PrepSettings.model_validate(job["prep"])
+    limit_memory(prep.memory_mib)
 
     def progress(stage: str, fraction: float) -> None:
         current[0] = stage
@@ -211,7 +211,7 @@ def _prepare(folder: Path, protocol: Any, current: list[str]) -> None:
     asset = prepare_here(
         Path(job["scan_path"]),
         ScanSettings.model_validate(job["scan"]),
-        PrepSettings.model_validate(job["prep"]),
+        prep,
         progress=progress,
         as_is=job["as_is"],
         views=folder / "views.npz",

@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import difflib
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -21,6 +21,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from scanrender.errors import ConfigError, UsageError
 from scanrender.resources import shipped_pipelines, shipped_presets
+from scanrender.settings.light import BUILT_IN_SKIES
 from scanrender.settings.pipeline import Pipeline
 
 Key = tuple[str | int, ...]
@@ -51,6 +52,7 @@ def load_pipeline(source: str | Path, overrides: Sequence[str] = ()) -> Pipeline
     layer = _read_with_extends(path, ())
     for text in overrides:
         _apply_override(layer, text)
+    _find_pictures(layer)
     pipeline = _validate(layer, str(path))
     panel_pipelines(pipeline, str(path))  # a slip in the last panel is told before the first
     return pipeline
@@ -143,8 +145,45 @@ def _read_file(path: Path) -> _Layer:
     if not isinstance(document, CommentedMap):
         raise ConfigError("a pipeline file is a mapping of sections", where=f"{path}:1")
     places: dict[Key, str] = {}
-    data = _plain(document, (), path, places)
-    return _Layer(data, places)
+    layer = _Layer(_plain(document, (), path, places), places)
+    _anchor_pictures(layer, path)
+    return layer
+
+
+def _pictures(layer: _Layer) -> Iterator[tuple[dict[str, Any], str]]:
+    """Each light that names a picture, and where it does."""
+    lights = layer.data.get("lights")
+    for index, light in enumerate(lights if isinstance(lights, list) else ()):
+        named = light.get("map") if isinstance(light, dict) else None
+        if isinstance(named, str) and named not in BUILT_IN_SKIES:
+            keys: tuple[Key, ...] = ("lights", index, "map"), ("lights", index), ("lights",)
+            yield light, next((layer.places[key] for key in keys if key in layer.places), "")
+
+
+def _anchor_pictures(layer: _Layer, path: Path) -> None:
+    """Paths in a file count from its folder and stay in it: a pipeline may come from anybody."""
+    folder = path.resolve().parent
+    for light, place in _pictures(layer):
+        picture = (folder / light["map"]).resolve()
+        if Path(light["map"]).is_absolute() or not picture.is_relative_to(folder):
+            raise ConfigError(
+                f"lights: the map {light['map']!r} lies outside this file's folder",
+                place,
+                "move it there, or name it on the command line: --set lights.N.map=PATH",
+            )
+        light["map"] = str(picture)
+
+
+def _find_pictures(layer: _Layer) -> None:
+    """What stands relative by now came from the command line: it counts from where we are."""
+    for light, place in _pictures(layer):
+        if not Path(light["map"]).is_file():
+            raise ConfigError(
+                f"lights: there is no picture {light['map']!r}",
+                place,
+                f"built in: {', '.join(BUILT_IN_SKIES)}; otherwise a .exr or .hdr file",
+            )
+        light["map"] = str(Path(light["map"]).resolve())
 
 
 def _plain(node: Any, key: Key, path: Path, places: dict[Key, str]) -> Any:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from scanrender.settings.base import Section, setting
 
@@ -21,6 +23,14 @@ class CleanSettings(Section):
         ge=0,
         le=1,
     )
+    floater_distance_mm: float = setting(
+        10.0,
+        "A loose piece nearer than this to the subject is kept down to a tenth of that share; one "
+        "ten times as far must have three times that share.",
+        unit="mm",
+        ge=0,
+        le=1000,
+    )
     hole_mm: float = setting(
         12.0,
         "Holes whose boundary fits in a circle of this diameter are filled; larger ones stay.",
@@ -35,20 +45,33 @@ class CleanSettings(Section):
         ge=2,
         le=100,
     )
+    close_neck: bool = setting(
+        False, "Close the opening at which a bust is cut off with a flat cap.", unit=""
+    )
 
 
 class SimplifySettings(Section):
     """Fewer triangles, within a budget and an error bound: whichever stops first."""
 
     triangles: int = setting(
-        50_000, "Budget: at most this many triangles.", unit="triangles", ge=100, le=20_000_000
+        50_000,
+        "Budget: at most this many triangles; fewer where those keep the error bound already.",
+        unit="triangles",
+        ge=100,
+        le=20_000_000,
     )
     error_mm: float = setting(
-        0.2,
-        "Warn when the 99 % distance to the raw surface is larger than this.",
+        0.02,
+        "Error bound: as few triangles as keep 99 % of the raw and of the prepared surface within "
+        "this distance from each other, but never more than the budget.",
         unit="mm",
         ge=0.001,
         le=100,
+    )
+    lods: tuple[Annotated[int, Field(ge=500)], ...] = setting(
+        (),
+        "Levels of detail: coarser meshes of so many triangles, as lod1.glb and so on; same maps.",
+        unit="triangles",
     )
 
 
@@ -117,6 +140,18 @@ class BakeSettings(Section):
     )
 
 
+class SkinMapSettings(Section):
+    """What counts as skin: guessed from the scan's colours, or told."""
+
+    mask: str | tuple[str, ...] | None = setting(
+        None,
+        "Image in the scan's own texture coordinates, white where there is skin; it replaces the "
+        "guess. Relative to the scan's folder; a scan of several texture pages takes a list, one "
+        "image a page in their order.",
+        unit="",
+    )
+
+
 class PrepSettings(Section):
     """Preparation of one scan."""
 
@@ -124,8 +159,16 @@ class PrepSettings(Section):
     simplify: SimplifySettings = SimplifySettings()
     unwrap: UnwrapSettings = UnwrapSettings()
     bake: BakeSettings = BakeSettings()
+    skin: SkinMapSettings = SkinMapSettings()
     report: Literal["full", "short"] = setting(
         "full", "`short` leaves out what only measures: colour error, crossing faces.", unit=""
+    )
+    memory_mib: int | None = setting(
+        None,
+        "Memory that each process of a preparation may take; null: what the machine or its "
+        "container has. A scan that needs more ends with an error instead of swapping.",
+        unit="MiB",
+        ge=256,
     )
     timeout_s: float = setting(
         900.0, "A preparation stage that takes longer is stopped.", unit="s", ge=1, le=86_400

@@ -8,7 +8,7 @@ from scanrender.settings.base import Rgb, Section, setting
 
 
 class CameraSettings(Section):
-    """A perspective camera that frames the whole subject."""
+    """Where the picture is taken from, and how much of the subject it shows."""
 
     width_px: int = setting(720, "Width of the picture.", unit="px", ge=1, le=16384)
     height_px: int = setting(720, "Height of the picture.", unit="px", ge=1, le=16384)
@@ -18,6 +18,19 @@ class CameraSettings(Section):
         unit="mm",
         ge=2,
         le=2000,
+    )
+    projection: Literal["perspective", "orthographic"] = setting(
+        "perspective",
+        "`orthographic` keeps the scale at every depth, for measuring; no focal length then.",
+        unit="",
+    )
+    height_mm: float | None = setting(
+        None,
+        "Millimetres at the point looked at that the picture is high: the same scale for every "
+        "scan (252 is a close-up of a head). Without it, `fill` frames the whole subject.",
+        unit="mm",
+        ge=1e-3,
+        le=1e7,
     )
     fill: float = setting(
         0.92,
@@ -32,8 +45,13 @@ class CameraSettings(Section):
     elevation_deg: float = setting(
         4.0, "Where the camera stands, above the horizon.", unit="deg", ge=-89, le=89
     )
+    aim: Literal["subject", "head"] = setting(
+        "subject",
+        "The point looked at: the subject's centre, or half a head (113 mm) below its top.",
+        unit="",
+    )
     look_up_mm: float = setting(
-        0.0, "Moves the point looked at up from the subject's centre.", unit="mm", ge=-1e6, le=1e6
+        0.0, "Moves the point looked at up from there.", unit="mm", ge=-1e6, le=1e6
     )
 
 

@@ -10,6 +10,10 @@ from scanrender.settings.base import Rgb, Section, setting
 
 # What the optics of the lobes is made and checked for.
 Slope = Annotated[float, Field(ge=0.01, le=1)]
+Length = Annotated[float, Field(ge=1e-4, le=1e3)]
+Lengths = tuple[Length, Length, Length]
+Share = Annotated[float, Field(ge=0, le=1)]
+Shares = tuple[Share, Share, Share]
 
 
 class GaussianTerm(Section):
@@ -43,8 +47,10 @@ class SpecularSettings(Section):
 class TransmissionSettings(Section):
     """Light that enters on the far side of thin skin (ears, nostrils) and leaves toward us."""
 
-    method: Literal["none", "shadow_map"] = setting(
-        "shadow_map", "Where the thickness comes from.", unit=""
+    method: Literal["none", "shadow_map", "baked"] = setting(
+        "shadow_map",
+        "Where the thickness comes from: the way of each light, or the asset's thickness map.",
+        unit="",
     )
     wrap: float = setting(
         0.0,
@@ -96,20 +102,82 @@ class SkinSettings(Section):
         return self
 
 
+class ArtisticKernel(Section):
+    """Two Gaussians a channel for `separable_artistic`: near * strength + far * (1 - strength).
+
+    The defaults are the best two to the edge response of the measured skin.
+    """
+
+    near_mm: Lengths = setting(
+        (0.136, 0.093, 0.081), "Standard deviation of the near Gaussian, per channel.", unit="mm"
+    )
+    far_mm: Lengths = setting(
+        (1.28, 0.355, 0.233), "Standard deviation of the far Gaussian, per channel.", unit="mm"
+    )
+    strength: Shares = setting(
+        (0.40, 0.58, 0.67), "Share of the near Gaussian, per channel.", unit="1"
+    )
+
+
 class DiffusionSettings(Section):
     """The algorithm that scatters light below the surface, in screen space."""
 
-    method: Literal["none", "gaussian_sum"] = setting(
-        "gaussian_sum", "`none` leaves plain diffuse reflection, for comparison.", unit=""
+    method: Literal["none", "gaussian_sum", "separable_preintegrated", "separable_artistic"] = (
+        setting(
+            "gaussian_sum",
+            "`gaussian_sum` blurs once for each Gaussian of the profile; the separable ones blur "
+            "once: with the profile's own line integral, or with two Gaussians. `none` leaves "
+            "plain diffuse reflection, for comparison.",
+            unit="",
+        )
     )
     samples: int = setting(
-        17, "Taps per Gaussian and direction; any number.", unit="taps", ge=3, le=255
+        17,
+        "Taps a direction, per Gaussian or for the separable kernel; any number.",
+        unit="taps",
+        ge=3,
+        le=255,
     )
-    halo: Literal["none", "depth", "measure"] = setting(
-        "measure",
-        "What keeps light from crossing depth steps: nothing, Jimenez' correction, or the true "
-        "measure of distance and area on the surface.",
+    artistic: ArtisticKernel = ArtisticKernel()
+    jitter: bool = setting(
+        False,
+        "Moves the taps inside their cells from pixel to pixel: fine noise, which supersampling "
+        "averages, instead of ghost copies where taps are few. The same in each frame.",
         unit="",
+    )
+    halo: Literal["none", "depth", "cbf", "cbf_normalized", "measure"] = setting(
+        "measure",
+        "What keeps light from crossing depth steps: nothing; Jimenez' depth correction; the "
+        "cross bilateral filter on an edge guide that grows with distance; that guide normalized, "
+        "with the depth correction; or the true measure of distance and area on the surface.",
+        unit="",
+    )
+    edge_contrast: float = setting(
+        10.0,
+        "c of the cross bilateral filters: a tap counts exp(-c |E_p - E_q|), with E albedo times "
+        "a ratio of cosines. A huge one stops leaks by stopping scattering.",
+        unit="1",
+        ge=0,
+        le=1e6,
+    )
+    limit: Literal["none", "lab"] = setting(
+        "none",
+        "`lab` lets light scatter only between skin of like colour (CIE Lab of the albedo).",
+        unit="",
+    )
+    limit_delta_e: float = setting(
+        5.0, "Colour difference at which a tap counts 0.6.", unit="ΔE", ge=0.1, le=1000
+    )
+    limit_smooth_mm: float = setting(
+        1.0,
+        "Radius over which the guide is smoothed on the surface, edges kept: the noise of a scan's "
+        "texture must not stop scattering.",
+        unit="mm",
+        ge=0,
+        le=20,
+    )
+    limit_floor: float = setting(
+        0.01, "What a tap of any other colour still counts.", unit="1", ge=0, le=1
     )
     mask: Literal["none", "skin"] = setting(
         "skin",
@@ -119,8 +187,36 @@ class DiffusionSettings(Section):
 
 
 class CurvatureSettings(Section):
-    """Curvature of the geometry normals, on screen."""
+    """Curvature of the geometry normals, and what it may do to the diffusion.
+
+    With `halo: measure` the effect of curvature comes out of the surface itself: leave it `none`.
+    """
 
     smooth_mm: float = setting(
         2.0, "Radius of the smoothing along the surface.", unit="mm", ge=0, le=50
+    )
+    source: Literal["screen", "baked"] = setting(
+        "screen",
+        "From the picture's normals, or from the asset's curvature map, which silhouettes do not "
+        "disturb.",
+        unit="",
+    )
+    modulation: Literal["none", "increase", "reduce", "reduce_to_minimum"] = setting(
+        "none",
+        "What convex curvature does to the kernel's width: from full on flat skin to double "
+        "(`increase`), from nothing to full (`reduce`), from `minimum` to full "
+        "(`reduce_to_minimum`).",
+        unit="",
+    )
+    minimum: float = setting(
+        0.3, "Width on flat skin for `reduce_to_minimum`.", unit="1", ge=0, le=1
+    )
+    full_at_mm: float = setting(
+        10.0, "Radius of curvature at which the modulation is complete.", unit="mm", ge=0.1, le=1000
+    )
+    forward_scattering: bool = setting(
+        False,
+        "Scales the light through thin skin by the same factor: a mistake that the paper's figure "
+        "9 shows (bright nostrils). For comparison only.",
+        unit="",
     )

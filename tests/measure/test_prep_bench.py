@@ -11,18 +11,14 @@ import numpy as np
 import pytest
 
 from scanrender.errors import UsageError
-from scanrender.measure.prep_bench import (
-    CASES,
-    Case,
-    bench_prep,
-    case_list,
-    csv_text,
-    missed_limits,
-    table_text,
-)
+from scanrender.measure import stage_costs
+from scanrender.measure.limits import ATLAS, missed_limits
+from scanrender.measure.prep_bench import CASES, Case, bench_prep, case_list, table_text
 from scanrender.measure.prep_inputs import REAL_HEAD, dense_head_scan
+from scanrender.measure.tables import case_table, csv_text, markdown, stage_table, text
 from scanrender.measure.watch import Watch
 from scanrender.scan.ingest import read_scan
+from scanrender.scan.plain import CALLS
 from scanrender.settings.prep import PrepSettings
 
 BALL = """ply
@@ -84,18 +80,58 @@ def test_a_bench_writes_rows_that_can_be_read(tmp_path):
     assert rows[0]["raw_triangles"] == 2208
     assert rows[0]["triangles"] <= 510
     assert rows[0]["lost"]["flipped_triangles"] == 0
-    assert rows[0]["stages"]["unwrap"] > 0.0
-    assert rows[0]["plain"]["fast_simplification_s"] > 0.0
+    stages = rows[0]["stages"]
+    assert set(CALLS) <= set(stages)
+    for name in CALLS:
+        cost = stages[name]
+        assert "plain_failed" not in cost, cost
+        assert cost["ratio"] == pytest.approx(
+            cost["seconds"] / max(cost["plain_seconds"], 1e-3), rel=0.6, abs=0.02
+        )
+        assert cost["peak_mib"] > 0
+        assert cost["plain_mib"] > 0
+    # The rest is what is left of the whole when the last stage has ended.
+    assert 0.0 < stages[stage_costs.REST]["seconds"] < rows[0]["seconds"]
     assert "no such scan" in rows[1]["failed"]
     stored = json.loads((tmp_path / "prep.json").read_text())
     assert stored["rows"] == json.loads(json.dumps(rows))
     with (tmp_path / "prep.csv").open(newline="") as stream:
         table = list(csv.DictReader(stream))
-    assert float(table[0]["stages.unwrap"]) > 0.0
+    assert float(table[0]["stages.unwrap.seconds"]) > 0.0
+    assert float(table[0]["stages.simplify.plain_mib"]) > 0.0
     assert table[1]["failed"]
     assert len(missed_limits(rows)) == 2
-    assert "wall clock" in table_text(rows)
+    shown = table_text(rows)
+    assert "wall clock" in shown
+    assert CALLS["unwrap"][0] in shown
     assert any("ball: a ball" in words for words in said)
+
+
+def test_a_plain_call_that_fails_is_told_and_has_no_ratio(tmp_path):
+    costs = {"ingest": {"seconds": 1.0}, "report": {"seconds": 1.0}}
+    said = []
+    stage_costs.add_plain_calls(costs, tmp_path / "none.ply", tmp_path, said.append)
+    assert "plain_failed" in costs["ingest"]
+    assert "ratio" not in costs["ingest"]
+    assert stage_table({"stages": costs})[1][3] == "failed"
+    late = {"seconds": 1.0, "plain_failed": "too long", "plain_limit_s": 300.0}
+    assert stage_table({"stages": {"clean": late}})[1][3] == "> 300"
+    assert costs["report"] == {"seconds": 1.0}
+    assert len(said) == 1
+
+
+def test_a_stages_peak_is_that_of_its_own_time():
+    watch = Watch(0.1)
+    watch.samples = [(10.0, 1024), (10.5, 4096), (11.5, 2048), (12.5, 9216)]
+    stages = [
+        {"name": "a", "at": 0.0, "seconds": 1.0, "peak_memory_mib": 77},
+        {"name": "b", "at": 1.0, "seconds": 1.0, "peak_memory_mib": 78},
+        {"name": "c", "at": 2.0, "seconds": 0.1, "peak_memory_mib": 79},
+    ]
+    costs = stage_costs.stage_costs(stages, watch, 10.0, 3.0)
+    assert [costs[name]["peak_mib"] for name in "ab"] == [4, 2]
+    assert costs["c"]["peak_mib"] == 79  # nothing was sampled: what the kernel kept
+    assert costs[stage_costs.REST] == {"seconds": pytest.approx(0.9), "peak_mib": 9}
 
 
 def test_every_case_has_settings_that_hold():
@@ -108,11 +144,42 @@ def test_every_case_has_settings_that_hold():
 
 
 def test_limits_are_kept_or_told():
-    row = {"case": "a", "seconds": 5.0, "limit_s": 6.0, "peak_tree_mib": 10, "limit_mib": None}
+    row = {"case": "a", "seconds": 5.0, "peak_tree_mib": None, "lost": {"charts": 41}}
+    row["limits"] = {"seconds": ("<=", 6.0), "peak_tree_mib": ("<=", 10.0)}
     assert missed_limits([row]) == []
-    assert missed_limits([{**row, "seconds": 7.0}]) == ["a: 7.0 s, the limit is 6 s"]
+    assert missed_limits([{**row, "seconds": 7.0}]) == ["a: seconds is 7, the limit is <= 6"]
+    assert missed_limits([{**row, "peak_tree_mib": 11}])
+    assert missed_limits([{**row, "seconds": float("nan")}])
+    assert missed_limits([{**row, "seconds": None}]) == ["a: seconds was not measured"]
+    good = {
+        "charts": 60, "atlas_use": 0.65, "overlap": 0.0, "flipped_triangles": 0,
+        "stretch": {"within_1_5": 0.95},
+    }  # fmt: skip
+    row = {"case": "a", "lost": good, "stages": {"unwrap": {"seconds": 15.0}}, "limits": ATLAS}
+    assert missed_limits([row]) == []
+    for key, value in (("charts", 61), ("atlas_use", 0.64), ("overlap", 1e-6)):
+        assert len(missed_limits([{**row, "lost": {**good, key: value}}])) == 1
+    assert len(missed_limits([{**row, "lost": {}}])) == 5
+
+
+def test_tables_show_limits_ratios_and_what_the_plain_call_is():
     assert table_text([{"case": "b", "failed": "x"}]) == "no case was completed"
+    row = {"case": "a", "seconds": 5.0, "limits": {"seconds": ("<=", 6.0)}}
+    row["stages"] = {
+        "unwrap": {"seconds": 8.0, "peak_mib": 1200, "plain": "xatlas", "plain_seconds": 4.0,
+                   "plain_mib": 100, "ratio": 2.0},
+        "report": {"seconds": 1.0, "peak_mib": None},
+    }  # fmt: skip
     assert csv_text([row, {"case": "b", "failed": "x"}]).splitlines()[2].startswith("b,")
+    cases = case_table([row], (("case", "case"), ("seconds", "s"), ("none", "nothing")))
+    assert cases == [["case", "a"], ["s", "5"], ["  limit", "<= 6"]]
+    stages = stage_table(row)
+    assert stages[1] == ["unwrap", "8", "1,200", "4", "100", "2", "xatlas"]
+    assert stages[2] == ["report", "1", "", "", "", "", ""]
+    assert len({line.count("|") for line in markdown(stages).splitlines()}) == 1
+    assert text(stages).splitlines()[0].split()[0] == "stage"
+    bare = {"stages": {"report": {"seconds": 1.0, "peak_mib": 7}}}
+    assert stage_table(bare) == [["stage", "s", "peak MiB"], ["report", "1", "7"]]
 
 
 def test_a_coarse_real_head_is_cut_and_rounded(tmp_path):

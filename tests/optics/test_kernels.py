@@ -12,13 +12,16 @@ from scipy.stats import norm
 
 from scanrender.errors import ConfigError
 from scanrender.optics.kernels import (
+    discrete_gaussian_taps,
     disk_samples,
+    falloff_per_mm2,
+    footprint_taps,
     gaussian_taps,
     separable_artistic,
     separable_preintegrated,
     tap_positions,
 )
-from scanrender.optics.profiles import D_EON_SKIN, Burley
+from scanrender.optics.profiles import D_EON_SKIN, Burley, GaussianSum
 
 BURLEY = Burley((0.757, 0.322, 0.2))
 EPS = np.finfo(float).eps
@@ -140,6 +143,65 @@ def test_artistic_is_a_mixture_of_gaussian_cells(near, far, strength, samples):
         np.testing.assert_allclose(taps.weights[:, channel], expected, atol=1e-14)
 
 
+@given(
+    st.floats(0.0, 4.0), st.integers(1, 16), st.floats(-0.5, 0.5), st.sampled_from([1, 4, 16, 256])
+)
+def test_footprint_taps_are_a_partition_of_unity(sigma, radius, shift, samples):
+    taps = footprint_taps([sigma], radius, shift, samples)
+    assert taps.shape == (1, 2 * radius + 1)
+    assert taps.sum() == pytest.approx(1.0, abs=1e-12)
+    assert taps.min() >= -1e-12
+
+
+def test_footprint_taps_of_no_width_are_the_identity():
+    np.testing.assert_allclose(footprint_taps([0.0], 3)[0], [0, 0, 0, 1, 0, 0, 0], atol=1e-15)
+
+
+@pytest.mark.parametrize("sigma", [0.05, 0.3, 0.56, 1.0, 2.5])
+@pytest.mark.parametrize("samples", [1, 4])
+def test_footprint_taps_blur_steps_as_pixels_see_them(sigma, samples):
+    """Exact for a step between cells: the mean over the pixel of the blurred step, any sample."""
+    radius, centre = 14, 40
+    pixels = np.arange(81)
+    shifts = (np.arange(samples) + 0.5) / samples - 0.5
+    for edge in centre + 0.5 + np.arange(samples) / samples:  # where the step lies, in pixels
+        seen = np.zeros(81)
+        for shift in shifts:
+            image = (pixels + shift > edge).astype(float)
+            taps = footprint_taps([sigma], radius, shift, samples)[0]
+            seen += np.convolve(image, taps[::-1], mode="same") / samples
+        node, weight = np.polynomial.legendre.leggauss(40)
+        at = np.arange(centre - 5, centre + 7)
+        expected = norm.cdf((at[:, None] + 0.5 * node - edge) / sigma) @ weight / 2
+        np.testing.assert_allclose(seen[at], expected, atol=2e-3 if sigma < 0.1 else 1e-6)
+
+
+@given(st.floats(0.0, 3.0))
+def test_discrete_gaussian_taps_have_the_variance_asked_for(sigma):
+    taps = discrete_gaussian_taps([sigma], 20)[0]
+    j = np.arange(-20, 21)
+    assert taps.sum() == pytest.approx(1.0, abs=1e-12)
+    assert taps @ j**2 == pytest.approx(sigma**2, abs=1e-6)
+    np.testing.assert_array_equal(taps, taps[::-1])
+
+
+def test_discrete_gaussians_add_up():
+    a, b, both = (discrete_gaussian_taps([s], 30)[0] for s in (0.6, 0.8, 1.0))
+    np.testing.assert_allclose(np.convolve(a, b)[30:91], both, atol=1e-12)
+
+
+def test_falloff_is_how_the_marginal_falls_with_depth():
+    one = GaussianSum((2.25,), ((1, 1, 1),))
+    np.testing.assert_allclose(falloff_per_mm2(one, [-3, 0, 0.1, 5]), 0.5 / 2.25, rtol=1e-4)
+    x = np.array([0.1, 0.5, 1.0, 2.0])
+    q = falloff_per_mm2(D_EON_SKIN, x)
+    z = 0.02
+    ratio = D_EON_SKIN.line_marginal(np.hypot(x, z)) / D_EON_SKIN.line_marginal(x)
+    np.testing.assert_allclose(np.exp(-q * z * z), ratio, rtol=2e-3)
+    assert np.isfinite(falloff_per_mm2(D_EON_SKIN, [-20.0, 0.0, 20.0])).all()
+    assert np.isfinite(falloff_per_mm2(BURLEY, [-20.0, 0.0, 20.0])).all()
+
+
 @PROFILES
 @pytest.mark.parametrize("inner_mm", [0.0, 0.3])
 def test_disk_estimates_integrals_of_the_profile(profile, inner_mm):
@@ -182,6 +244,10 @@ def test_the_widest_channel_is_drawn():
         lambda: separable_preintegrated(D_EON_SKIN, 5, 1.0, "cubic"),
         lambda: separable_artistic((0, 1, 1), (1, 1, 1), (0.5,) * 3, 5, 3.0),
         lambda: separable_artistic((1, 1, 1), (1, 1, 1), (0.5, 0.5, 1.5), 5, 3.0),
+        lambda: footprint_taps([-1.0], 3),
+        lambda: footprint_taps([1.0], 0),
+        lambda: footprint_taps([math.nan], 3),
+        lambda: discrete_gaussian_taps([1.0], 65),
         lambda: disk_samples(D_EON_SKIN, 0),
         lambda: disk_samples(D_EON_SKIN, 8, 1e3),
     ],

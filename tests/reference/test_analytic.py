@@ -12,6 +12,7 @@ from scanrender.errors import ConfigError
 from scanrender.optics.profiles import D_EON_SKIN, Burley, GaussianSum
 from scanrender.reference.analytic import (
     half_lit_plane,
+    half_lit_plane_seen,
     mean_irradiance_on_circle,
     slab_transmittance,
     sphere_furnace,
@@ -155,3 +156,17 @@ def test_a_profile_with_one_narrow_and_one_wide_lobe_is_still_resolved():
 def test_impossible_cases_are_refused(call):
     with pytest.raises(ConfigError):
         call()
+
+
+@pytest.mark.parametrize("footprint_mm", [0.01, 0.3, 2.0, 8.0])
+def test_what_a_pixel_sees_of_the_edge_is_the_mean_over_it(footprint_mm):
+    x = np.array([-1.0, -0.1, 0.0, 0.4])
+    offsets = (np.arange(20000) + 0.5) / 20000 - 0.5
+    fine = half_lit_plane(x[:, None] + footprint_mm * offsets, D_EON_SKIN).mean(axis=1)
+    found = half_lit_plane_seen(x, footprint_mm, D_EON_SKIN)
+    np.testing.assert_allclose(found, fine, atol=1e-7)
+
+
+def test_a_footprint_must_be_positive():
+    with pytest.raises(ConfigError):
+        half_lit_plane_seen(0.0, 0.0, D_EON_SKIN)

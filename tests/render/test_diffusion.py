@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
+from render.edges import CLOSE, HALF_MM, Floats, lit_edge, width_mm
 from render.synthetic import (
     AMBIENT,
     MATT,
@@ -20,65 +20,33 @@ from render.synthetic import (
 )
 
 from scanrender.optics.kernels import gaussian_taps
-from scanrender.optics.profiles.gaussians import D_EON_SKIN, GaussianSum
-from scanrender.reference.analytic import half_lit_plane
+from scanrender.optics.profiles.gaussians import D_EON_SKIN
 from scanrender.render.device import Device
 from scanrender.render.frame import Renderer
 from scanrender.render.passes.gaussian_sum import taps_for
 
 pytestmark = pytest.mark.gl
 
-RED, GREEN, BLUE = 0, 1, 2
-# Seven pixels a millimetre: the narrowest Gaussian of skin (0.08 mm) is over half a pixel wide.
-HALF_MM = 10.0
-CLOSE = {"camera": {"width_px": 160, "height_px": 160, "focal_mm": 200}}
+RED, GREEN = 0, 1
+METHODS = ("gaussian_sum", "separable_preintegrated", "separable_artistic")
+HALOS = ("none", "depth", "cbf", "cbf_normalized")
 
 
-def lit_edge(
-    gl: Device, half_mm: float = HALF_MM, vertical: bool = True, **changes: Any
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float32]]:
-    """(x in mm from the edge, diffuse along the perpendicular) of a plane lit where x > 0.
-
-    The edge lies between two pixels. A row of pixels at x sees the mean light of its footprint, so
-    the analytic answer at its centre is what it should show.
-    """
-    settings = pipeline(MATT, CLOSE, {"diffusion": {"samples": 25}}, changes)
-    renderer = Renderer(gl, two_tone_plane(half_mm, vertical=vertical), settings)
-    frame = renderer.render(renderer.view(0), ["diffuse", "position"])
-    height, width = frame.alpha.shape
-    axis, lines = (0, np.s_[height // 2]) if vertical else (1, np.s_[:, width // 2])
-    x = frame.buffers["position"][lines][:, axis].astype(np.float64)
-    return x, frame.buffers["diffuse"][lines]
-
-
-def on_skin(x: npt.NDArray[np.float64], half_mm: float = HALF_MM, margin_mm: float = 3.0):
+def on_skin(x: Floats, half_mm: float = HALF_MM, margin_mm: float = 3.0):
     """Pixels of the plane that are not near its outer rim."""
     return (np.abs(x) < half_mm - margin_mm) & (x != 0)
-
-
-def edge_errors(x: npt.NDArray[np.float64], found: npt.NDArray[np.float32]) -> tuple[float, float]:
-    """Largest distance from the truth: of the two pixels that touch the edge, of all others."""
-    error = np.abs(found - half_lit_plane(x, D_EON_SKIN)).max(axis=1)
-    at_edge = np.argsort(np.abs(x))[:2]
-    return float(error[at_edge].max()), float(np.delete(error, at_edge).max())
-
-
-def width_mm(x: npt.NDArray[np.float64], edge: npt.NDArray[np.floating]) -> float:
-    """Distance between the places where the edge has 10 % and 90 % of the light."""
-    order = np.argsort(x)
-    a, b = np.interp([0.1, 0.9], edge[order], x[order])
-    return float(b - a)
 
 
 # --- a constant stays a constant -----------------------------------------------------------------
 
 
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     ("halo", "samples"),
-    [*(("measure", n) for n in (3, 4, 9, 17, 255)), *(("depth", n) for n in (4, 17)), ("none", 9)],
+    [*(("measure", n) for n in (3, 4, 17, 255)), *((halo, 17) for halo in HALOS), ("depth", 4)],
 )
-def test_constant_light_stays_constant(gl: Device, samples: int, halo: str):
-    settings = pipeline(MATT, diffusion={"samples": samples, "halo": halo})
+def test_constant_light_stays_constant(gl: Device, samples: int, halo: str, method: str):
+    settings = pipeline(MATT, diffusion={"samples": samples, "halo": halo, "method": method})
     for asset in (plane(20.0), turned(plane(20.0), 55.0, "y"), sphere(15.0)):
         made = render(gl, asset, settings, "diffuse", "irradiance")
         inside = made["alpha"][:, :, 0] == 1
@@ -128,67 +96,6 @@ def test_taps_of_each_gaussian_sum_to_one_and_fit_the_shader(samples: int, sigma
     assert float(np.float32(taps.weights).sum()) == pytest.approx(1.0, abs=1e-6)
 
 
-# --- the half-lit plane --------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("vertical", [True, False], ids=["across rows", "across columns"])
-@pytest.mark.parametrize("halo", ["none", "depth", "measure"])
-def test_a_half_lit_plane_is_a_sum_of_error_functions(gl: Device, vertical: bool, halo: str):
-    x, found = lit_edge(gl, vertical=vertical, diffusion={"halo": halo})
-    here = on_skin(x)
-    assert here.sum() > 80
-    near, far = edge_errors(x[here], found[here])
-    # The two pixels at the edge see their footprint, not a point: blue is a pixel wide.
-    assert near < 0.025
-    assert far < 0.006
-
-
-def test_samples_refine_the_edge(gl: Device):
-    errors = []
-    for samples in (5, 11, 25):
-        x, found = lit_edge(gl, diffusion={"samples": samples})
-        here = on_skin(x)
-        errors.append(np.abs(found[here] - half_lit_plane(x[here], D_EON_SKIN)).max())
-    assert errors[0] > errors[2]
-    assert errors[1] < 0.03
-
-
-def test_the_profile_of_the_settings_is_the_one_that_blurs(gl: Device):
-    terms = [{"variance_mm2": 0.09, "weight": [0.2, 0.5, 1.0]},
-             {"variance_mm2": 1.0, "weight": [0.8, 0.5, 0.0]}]  # fmt: skip
-    x, found = lit_edge(gl, skin={"profile": terms})
-    truth = half_lit_plane(x, GaussianSum((0.09, 1.0), ((0.2, 0.5, 1.0), (0.8, 0.5, 0.0))))
-    assert np.abs(found - truth)[on_skin(x)].max() < 0.02
-
-
-def tilted_edge(gl: Device, axis: str, degrees: float, halo: str) -> tuple[float, float]:
-    settings = pipeline(MATT, CLOSE, diffusion={"samples": 25, "halo": halo})
-    renderer = Renderer(gl, turned(two_tone_plane(HALF_MM), degrees, axis), settings)
-    frame = renderer.render(renderer.view(0), ["diffuse", "position"])
-    row = frame.alpha.shape[0] // 2
-    position = frame.buffers["position"][row].astype(np.float64)
-    # Distance along the plane from the edge, which passes through the middle of the picture.
-    x = position[:, 0] / (np.cos(np.deg2rad(degrees)) if axis == "y" else 1.0)
-    here = on_skin(x) & (frame.alpha[row] == 1)
-    assert here.sum() > 20
-    return edge_errors(x[here], frame.buffers["diffuse"][row][here])
-
-
-@pytest.mark.parametrize("axis", ["x", "y"])
-@pytest.mark.parametrize("degrees", [30, 50, 70])
-def test_a_tilted_plane_blurs_the_same_in_millimetres(gl: Device, axis: str, degrees: float):
-    """Truth does not know the camera; neither does `halo: measure`."""
-    near, far = tilted_edge(gl, axis, degrees, "measure")
-    assert near < 0.05
-    assert far < 0.015
-
-
-def test_without_the_measure_a_tilted_plane_blurs_too_far(gl: Device):
-    """What the measure is for, and that the test above could fail."""
-    assert tilted_edge(gl, "y", 50, "none")[1] > 0.04
-    assert tilted_edge(gl, "y", 70, "depth")[1] > 0.04
-
-
 BASE_WIDTH = {
     "as it is": {},
     "twice the pixels": {"camera": {"width_px": 300, "height_px": 300}},
@@ -221,50 +128,9 @@ def test_the_blur_is_a_width_in_millimetres(gl: Device, kind: str):
 
 
 def test_skin_scale_scales_the_width(gl: Device):
-    narrow = width_mm(*_red(lit_edge(gl, skin={"scale": 0.5})))
-    wide = width_mm(*_red(lit_edge(gl)))
-    assert wide == pytest.approx(2 * narrow, rel=0.05)
-
-
-def _red(edge: Any) -> Any:
-    x, found = edge
-    here = on_skin(x)
-    return x[here], found[here, RED]
-
-
-def test_red_bleeds_further_than_green_and_green_than_blue(gl: Device):
-    x, found = lit_edge(gl)
-    in_shadow = np.argmin(np.abs(x + 1.0))
-    red, green, blue = found[in_shadow]
-    assert red > 3 * green > 3 * blue
-    assert red > 0.08
-    lit = np.argmin(np.abs(x - 1.0))
-    assert found[lit, RED] < found[lit, GREEN] < found[lit, BLUE], "what left is missing here"
-
-
-@pytest.mark.parametrize("scale", [1e-5, 1e-3, 1e-2])
-def test_a_kernel_far_below_a_pixel_changes_nothing(gl: Device, scale: float):
-    x, found = lit_edge(gl, skin={"scale": scale})
-    here = on_skin(x)
-    expected = np.repeat((x[here] > 0).astype(float)[:, None], 3, axis=1)
-    np.testing.assert_allclose(found[here], expected, atol=5e-3 if scale == 1e-2 else 1e-4)
-
-
-def test_the_kernel_grows_without_a_jump(gl: Device):
-    """From the identity over the three-tap kernel to the filter: the first shadow pixel only
-    ever gets brighter, by no more than its neighbours in scale do."""
-    profile = [{"variance_mm2": 1.0, "weight": [1.0, 1.0, 1.0]}]
-    found = []
-    scales = np.geomspace(0.01, 0.4, 24)
-    for scale in scales:
-        x, edge = lit_edge(gl, skin={"profile": profile, "scale": float(scale)})
-        dark = np.flatnonzero(x < 0)[np.argmax(x[x < 0])]
-        found.append(float(edge[dark, RED]))
-    steps = np.diff(found)
-    assert found[0] < 3e-3
-    assert found[-1] > 0.3
-    assert (steps > -1e-3).all()
-    assert steps.max() < 0.08
+    narrow, wide = lit_edge(gl, skin={"scale": 0.5}), lit_edge(gl)
+    found = [width_mm(edge.x_mm, edge.found[:, RED]) for edge in (narrow, wide)]
+    assert found[1] == pytest.approx(2 * found[0], rel=0.05)
 
 
 # --- edges of the skin ---------------------------------------------------------------------------

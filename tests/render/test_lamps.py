@@ -49,11 +49,12 @@ def test_the_shadow_map_sees_what_the_light_lights(radius_mm: float, light):
     points *= (
         radius_mm * rng.random((300, 1)) ** (1 / 3) / np.linalg.norm(points, axis=1, keepdims=True)
     )
-    in_light = np.column_stack([points, np.ones(300)]) @ found.light_from_world.T
+    in_light = np.column_stack([points, np.ones(300)]) @ found.light_from_rig.T
     clip = in_light @ found.clip_from_light.T
     with np.errstate(divide="ignore", invalid="ignore"):
         ndc = clip[:, :3] / clip[:, 3:]
-    if found.is_spot:
+    if found.is_near:
+        in_light[:, 2] -= found.distance_mm
         cosine = -in_light[:, 2] / np.linalg.norm(in_light[:, :3], axis=1)
         # A lamp inside the subject cannot see what lies behind its own near plane.
         lit = (cosine > found.cone_cosines[0]) & (-in_light[:, 2] >= found.near_mm)

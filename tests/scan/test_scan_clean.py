@@ -13,12 +13,13 @@ from scanrender.scan.clean import clean
 from scanrender.scan.floaters import drop_floaters
 from scanrender.scan.frame import find_frame
 from scanrender.scan.holes import fill_holes, least_area
+from scanrender.scan.neck import close_neck
 from scanrender.scan.orient import orient
-from scanrender.scan.raw import RawMesh
+from scanrender.scan.raw import NO_PAGE, RawMesh
 from scanrender.scan.repair import drop_extra_faces, split_vertices
 from scanrender.scan.spikes import flatten_spikes
 from scanrender.scan.surface import surface_from_raw
-from scanrender.scan.topology import boundary_loops, edges_of
+from scanrender.scan.topology import area_normals, boundary_loops, edges_of
 from scanrender.scan.weld import drop_degenerate, drop_duplicates, weld
 from scanrender.settings.prep import CleanSettings
 from scanrender.settings.scan import ScanSettings
@@ -200,6 +201,113 @@ def test_axes_turn_without_mirroring():
         clean(RawMesh(positions, faces), ScanSettings(up="+z", front="-z"), CleanSettings())
 
 
+def pieces(*parts):
+    """Several meshes as one surface; each part is (positions, faces)."""
+    offset = np.cumsum([0] + [len(p) for p, _ in parts[:-1]])
+    faces = [np.asarray(f) + o for (_, f), o in zip(parts, offset, strict=True)]
+    return surface(np.concatenate([p for p, _ in parts]), np.concatenate(faces))
+
+
+@pytest.mark.parametrize(
+    ("radius", "gap", "kept"),
+    [
+        (2.0, 1.0, False),  # 0.04 % of the area: a crumb, however near
+        (6.0, 5.0, True),  # 0.4 %, beside the surface: a torn-off ear tip
+        (6.0, 15.0, False),  # the same further away
+        (12.0, 50.0, True),  # 1.4 %
+        (12.0, 150.0, False),  # 1.4 %, far away: a lump of background
+        (30.0, 500.0, True),  # 9 %: a part of the subject, wherever it is
+    ],
+)
+@pytest.mark.parametrize("scale", [1.0, 0.001])
+def test_floaters_are_judged_by_size_and_distance(radius, gap, kept, scale):
+    big, small = sphere(100.0, 48, 96), sphere(radius, 12, 24)
+    loose = small[0] + np.array([100.0 + gap + radius, 0.0, 0.0])
+    both = pieces((big[0] * scale, big[1]), (loose * scale, small[1]))
+    left = drop_floaters(both, 0.01, 10.0 * scale)
+    assert (len(left.faces) > len(big[1])) == kept
+
+
+def test_what_a_person_would_call_the_subject_stays():
+    """Two halves of a broken bust, its pedestal far below, glasses in front; not the dust."""
+    half, frame = sphere(80.0, 32, 64), sphere(7.0, 12, 24)
+    stand, face_of_stand = np.asarray(cube(120.0)[0]) - [60.0, 400.0, 60.0], cube()[1]
+    glasses = frame[0] * [3.0, 1.0, 0.2] + [0.0, 20.0, 86.0]
+    dust = frame[0] * 0.1 + [30.0, 30.0, 120.0]
+    parts = [(half[0], half[1]), (half[0] + [170.0, 0.0, 0.0], half[1]), (stand, face_of_stand)]
+    parts += [(glasses, frame[1]), (dust, frame[1])]
+    left = drop_floaters(pieces(*parts), 0.01, 10.0)
+    assert len(left.faces) == sum(len(f) for _, f in parts[:-1])
+
+
+def test_the_unit_is_inferred_without_the_floaters_and_the_distance_is_in_mm():
+    """A bust in metres with a far crumb, and an ear tip 4 mm off: kept, once the unit is known."""
+    head, tip, far = sphere(0.15, 48, 96), sphere(0.009, 12, 24), sphere(0.01, 12, 24)
+    raw = pieces(
+        (head[0], head[1]), (tip[0] + [0.163, 0.0, 0.0], tip[1]), (far[0] + [0.0, 3.0, 0.0], far[1])
+    )
+    cleaned = clean(RawMesh(raw.positions, raw.faces), ScanSettings(), CleanSettings())
+    assert cleaned.frame.mm_per_unit == 1000.0
+    assert len(cleaned.surface.faces) == len(head[1]) + len(tip[1])
+    none = CleanSettings(floater_distance_mm=0.0)
+    cleaned = clean(RawMesh(raw.positions, raw.faces), ScanSettings(), none)
+    assert len(cleaned.surface.faces) == len(head[1])
+
+
+def bust(notch=False):
+    """A ball cut open low down, and with a hole in its cheek; `notch` makes the cut a crescent."""
+    positions, faces, _ = sphere(100.0, 48, 96)
+    centre = positions[faces].mean(axis=1)
+    floor = -70.0 + (
+        60.0 * np.exp(-((centre[:, 0] / 25.0) ** 2)) * (centre[:, 2] > 0) if notch else 0
+    )
+    cheek = np.linalg.norm(centre - [0.0, 30.0, 95.0], axis=1) < 25.0
+    return surface(positions, faces[(centre[:, 1] > floor) & ~cheek]).compact()
+
+
+@pytest.mark.parametrize("notch", [False, True])
+def test_the_neck_is_closed_flat_and_the_cheek_is_not(notch):
+    open_ = bust(notch)
+    closed, cap = close_neck(open_)
+    loops = boundary_loops(open_.faces)
+    neck = min(loops, key=lambda loop: open_.positions[loop][:, 1].mean())
+    assert cap == len(neck) - 2
+    added = closed.faces[-cap:]
+    # The rim is doubled, so that its edge stays sharp; the skin's own faces are as they were.
+    assert added.min() == len(open_.positions)
+    np.testing.assert_array_equal(closed.faces[:-cap], open_.faces)
+    assert (closed.page[-cap:] == NO_PAGE).all()
+    normal = area_normals(closed.positions, added)
+    assert (normal[:, 1] < 0).all(), "outward is down"
+    # Seen from below it covers the opening once: the areas add up to the polygon's.
+    x, z = closed.positions[neck][:, 0], closed.positions[neck][:, 2]
+    polygon = 0.5 * abs(np.sum(x * np.roll(z, -1) - z * np.roll(x, -1)))
+    assert 0.5 * np.abs(normal[:, 1]).sum() == pytest.approx(polygon)
+
+
+def test_a_closed_ball_and_a_hole_high_up_have_no_neck():
+    positions, faces, _ = sphere(100.0)
+    assert close_neck(surface(positions, faces))[1] == 0
+    high = surface(positions, faces[positions[faces][:, :, 1].max(axis=1) < 60.0])
+    assert close_neck(high)[1] == 0
+
+
+def test_the_cap_is_reported_and_can_be_taken_off():
+    raw = bust()
+    settings = CleanSettings(close_neck=True, hole_mm=0.0)
+    stated = ScanSettings(units="mm", up="+y", front="+z")
+    cleaned = clean(RawMesh(raw.positions, raw.faces), stated, settings)
+    assert cleaned.steps[-1] == {
+        "step": "close the neck", "cap_faces": cleaned.cap,
+        "faces": [len(raw.faces), len(raw.faces) + cleaned.cap],
+        "vertices": [len(raw.positions), len(raw.positions) + cleaned.cap + 2],
+    }  # fmt: skip
+    np.testing.assert_array_equal(cleaned.skin.faces, raw.faces)
+    open_ = clean(RawMesh(raw.positions, raw.faces), stated, CleanSettings(hole_mm=0.0))
+    assert open_.cap == 0
+    assert open_.skin is open_.surface
+
+
 def test_clean_counts_each_step():
     positions, faces, _ = sphere(150.0)
     crumbs = np.concatenate([positions, np.asarray(cube()[0]) + 500.0])
@@ -207,6 +315,12 @@ def test_clean_counts_each_step():
     cleaned = clean(RawMesh(crumbs, dirty), ScanSettings(units="mm"), CleanSettings())
     counts = {step["step"]: step["faces"] for step in cleaned.steps}
     n = len(faces)
+    assert list(counts) == [
+        "weld", "drop degenerate faces", "drop duplicate faces", "drop extra faces at edges",
+        "split vertices between fans", "drop unused vertices", "orient", "drop floaters",
+        "flatten spikes", "fill holes", "drop what filling left over",
+    ]  # fmt: skip
+    assert counts["weld"] == [n + 18, n + 18]  # each step is counted, also where nothing changes
     assert counts["drop degenerate faces"] == [n + 18, n + 17]
     assert counts["drop duplicate faces"] == [n + 17, n + 12]
     assert counts["drop floaters"] == [n + 12, n]

@@ -121,3 +121,12 @@ def test_a_bun_of_hair_is_not_taken_for_a_nose():
         if found is not None:
             off = (np.degrees(found.yaw) - degrees + 180.0) % 360.0 - 180.0
             assert abs(off) < 15.0
+
+
+@pytest.mark.parametrize("flat", [0, 1, 2])
+def test_a_flat_sheet_is_not_taken_for_a_bust_cut_off_at_its_base(flat):
+    """Its whole border lies at both ends of the axis across it: that says nothing about up."""
+    corners = np.insert([[0.0, 0.0], [200.0, 0.0], [200.0, 300.0], [0.0, 300.0]], flat, 7.0, axis=1)
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    axes = find_frame(RawMesh(corners, faces), corners, faces, ScanSettings()).axes
+    assert axes["up_confidence"] != "high"

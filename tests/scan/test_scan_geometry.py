@@ -16,11 +16,7 @@ from scanrender.scan.gutters import Gutters
 from scanrender.scan.meshlab import count_self_intersections
 from scanrender.scan.project import make_projector
 from scanrender.scan.rasterize import overlap_share, rasterize
-from scanrender.scan.raw import RawMesh
 from scanrender.scan.rays import Target
-from scanrender.scan.simplify import simplify
-from scanrender.scan.skinmap import skin_probability
-from scanrender.scan.surface import surface_from_raw
 from scanrender.scan.tangents import (
     corner_tangents,
     from_tangent_space,
@@ -206,18 +202,6 @@ def test_unwrap_falls_back_and_says_so(monkeypatch):
     assert [text.split(":")[0] for text in report["failed_rungs"]] == ["charts", "xatlas"]
 
 
-def test_simplify_keeps_to_the_budget_and_is_a_no_op_below_it():
-    positions, faces, _ = sphere(100.0, 48, 96)
-    surface = surface_from_raw(RawMesh(positions, faces))
-    simple, simple_faces, report = simplify(surface, 2000, 60.0)
-    assert len(simple_faces) <= 2040
-    assert "collapse" in report["method"]
-    assert np.abs(np.linalg.norm(simple, axis=1) - 100.0).max() < 1.0
-    same, same_faces, _ = simplify(surface, 10**6, 60.0)
-    assert same is surface.positions
-    assert same_faces is surface.faces
-
-
 def test_occlusion_and_thickness_against_closed_forms():
     positions, faces, _ = sphere(20.0, 48, 96)
     normals = unit(positions)
@@ -249,18 +233,6 @@ def test_projection_finds_the_point_above_and_not_the_other_side():
     point = samples.texels.interpolate(corner[flat])
     found = projector.target.interpolate(samples.hits, high)
     assert np.linalg.norm(found - point, axis=1).max() < 1.2
-
-
-def test_brows_are_no_skin_but_lips_are():
-    image = np.tile(np.array([0.50, 0.28, 0.20], np.float32), (128, 128, 1))
-    image *= np.random.default_rng(0).normal(1.0, 0.03, (128, 128, 1)).astype(np.float32)
-    image[20:30, 20:60] = [0.02, 0.015, 0.01]
-    image[80:95, 40:80] = [0.40, 0.08, 0.08]
-    skin, lab = skin_probability(image, np.ones((128, 128), bool), 1.0)
-    assert skin[100:, 100:].mean() > 0.98
-    assert skin[25, 40] < 0.05
-    assert skin[88, 60] > 0.8
-    assert 50 < lab[0] < 75
 
 
 def test_baked_light_is_measured_with_its_direction():

@@ -12,19 +12,16 @@ import struct
 import subprocess
 import sys
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scan_shapes import cube, sphere, write_obj, write_ply
 
 from scanrender import images
-from scanrender.errors import ScanError
 from scanrender.scan.clean import clean
 from scanrender.scan.ingest import read_scan
 from scanrender.scan.inspect import inspect_scan
-from scanrender.scan.prepare import prepare
-from scanrender.settings.prep import BakeSettings, CleanSettings, PrepSettings, SimplifySettings
+from scanrender.settings.prep import CleanSettings
 from scanrender.settings.scan import ScanSettings
 
 BILLION = 10**9
@@ -112,9 +109,17 @@ REFUSED = {
     "doubling.glb": (
         glb(gltf(nodes=[{"children": [i + 1, i + 1]} for i in range(40)] + [{"mesh": 0}]),
             TRIANGLE), "loop"),
+    # Bulk conversions take the longest word's width for all of them: 150 GB here.
+    "long-word.obj": (
+        b"v 0 0 0\n" * 50_000 + b"v 0 0 " + b"1" * 1_000_000 + b"\nf 1 2 3\n",
+        "is not made of numbers"),
+    "long-word.off": (
+        b"OFF\n50001 1 0\n" + b"0 0 0\n" * 50_000 + b"0 0 " + b"1" * 1_000_000 + b"\n3 0 1 2\n",
+        "damaged"),
+    "nested.gltf": (b'{"asset":' + b"[" * 200_000, "not valid glTF JSON"),
     "no-index.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 7 8 9\nf -7 -8 -9\n", "no usable face"),
     "not-finite.obj": (b"v nan 0 0\nv inf 0 0\nv 0 -inf 0\nf 1 2 3\n", "no usable face"),
-    "degenerate.obj": (b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\nf 1 1 2\n", "nothing of the scan"),
+    "degenerate.obj": (b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\nf 1 1 2\n", "has an area"),
     "one-point.obj": (b"v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n", "no size"),
     "bomb.obj": (f"mtllib bomb.mtl\n{SQUARE}usemtl a\n{FACES}".encode(), "60000 x 60000"),
     "bomb.glb": (
@@ -131,6 +136,7 @@ REFUSED = {
     "up.obj": (f"mtllib ../secret.mtl\n{SQUARE}{FACES}".encode(), "outside"),
     "absolute.obj": (f"mtllib /etc/passwd\n{SQUARE}{FACES}".encode(), "outside"),
     "url.obj": (f"mtllib https://x.org/a.mtl\n{SQUARE}{FACES}".encode(), "outside"),
+    "share.obj": (f"mtllib \\\\host\\share\\a.mtl\n{SQUARE}{FACES}".encode(), "outside"),
     "link.obj": (f"mtllib link.mtl\n{SQUARE}{FACES}".encode(), "leaves the scan's folder"),
     "up.ply": (
         b"ply\nformat ascii 1.0\ncomment TextureFile ../secret.png\n" + b"element vertex 0\n"
@@ -182,15 +188,9 @@ def answers(tmp_path_factory):
             os.mkfifo(folder / name)
         else:
             (folder / name).write_bytes(content)
-    # clean() is what finds a scan of nothing but degenerate faces; inspect only counts them.
-    names = [name for name in REFUSED if name != "degenerate.obj"]
-    command = [sys.executable, "-c", READ_ALL, str(folder), *names]
+    command = [sys.executable, "-c", READ_ALL, str(folder), *REFUSED]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-    ended = json.loads(done.stdout)
-    with pytest.raises(ScanError) as caught:
-        clean(read_scan(folder / "degenerate.obj"), ScanSettings(), CleanSettings())
-    ended["degenerate.obj"] = ["ScanError", caught.value.what, "", 0]
-    return ended
+    return json.loads(done.stdout)
 
 
 @pytest.mark.parametrize("name", list(REFUSED))
@@ -199,43 +199,15 @@ def test_hostile_files_end_in_one_sentence(answers, name):
     assert kind == "ScanError", sentence
     assert REFUSED[name][1] in sentence
     assert "\n" not in sentence + fix
+    assert fix, "what to do"
     assert len(sentence) < 200
     for leak in ("Errno", "dtype", "object has no", "buffer is smaller", "root:x"):
         assert leak not in sentence
 
 
 def test_memory_stays_bounded_whatever_a_header_declares(answers):
-    peaks = [answers[name][3] for name in REFUSED if name != "degenerate.obj"]
+    peaks = [answers[name][3] for name in REFUSED]
     assert max(peaks) - peaks[0] < 200, "MiB; 10^9 vertices would be 12 GB"
-
-
-def test_nothing_outside_the_folder_is_opened(tmp_path):
-    """The kernel's own list of opened files: an audit hook sees every open() of the process."""
-    folder = tmp_path / "scan"
-    folder.mkdir()
-    (tmp_path / "secret.png").write_bytes(png_header(4, 4))
-    (tmp_path / "secret.mtl").write_text("newmtl a\nmap_Kd secret.png\n")
-    (folder / "alone.png").symlink_to(tmp_path / "secret.png")
-    (folder / "alone.obj").write_text(SQUARE + FACES)
-    (folder / "up.obj").write_text(f"mtllib ../secret.mtl\n{SQUARE}{FACES}")
-    program = (
-        "import sys\n"
-        "from scanrender.errors import ScanError\n"
-        "from scanrender.scan.inspect import inspect_scan\n"
-        "opened = []\n"
-        "sys.addaudithook(lambda e, a: opened.append(str(a[0])) if e == 'open' else None)\n"
-        "for name in sys.argv[1:]:\n"
-        "    try:\n"
-        "        print(inspect_scan(name)['color'])\n"
-        "    except ScanError as error:\n"
-        "        print(error.what)\n"
-        "sys.exit('secret' in ' '.join(opened))\n"
-    )
-    command = [sys.executable, "-c", program, str(folder / "alone.obj"), str(folder / "up.obj")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[0] == "none", "a link out of the folder is no lone texture"
-    assert "outside" in done.stdout.splitlines()[1]
 
 
 def test_a_path_of_another_machine_is_forgiven_when_the_file_lies_beside(tmp_path):
@@ -258,10 +230,9 @@ def test_one_triangle_and_many_pieces_are_read(tmp_path):
     assert inspect_scan(soup)["components"] == 100_000
     cleaned = clean(read_scan(soup), ScanSettings(units="mm"), CleanSettings())
     # A flake's rim is not a hole, and a triangle alone has no inside to be turned out.
-    assert {step["step"] for step in cleaned.steps} <= {
-        "drop degenerate faces", "drop floaters", "split vertices between fans",
-        "drop unused vertices", "drop unused vertices again",
-    }  # fmt: skip
+    steps = {step["step"]: step for step in cleaned.steps}
+    assert steps["fill holes"]["holes"] == 0
+    assert steps["orient"]["turned_inside_out"] == steps["orient"]["turned_to_agree"] == 0
     assert 90_000 < len(cleaned.surface.faces) < 100_000
 
 
@@ -306,24 +277,3 @@ def test_five_million_metres_away_no_precision_is_lost(tmp_path, suffix):
     cleaned = clean(read_scan(path), ScanSettings(units="m"), CleanSettings()).surface
     radius = np.linalg.norm(cleaned.positions, axis=1)
     np.testing.assert_allclose(radius, 150.0, atol=2e-3)  # mm: the text's own rounding
-
-
-def test_names_with_blanks_and_accents_survive_the_whole_way(tmp_path):
-    """And a scan inside out, far away: what reaches the asset is the sphere it was."""
-    folder = tmp_path / "Übung 1 – голова"
-    folder.mkdir()
-    positions, faces, uv = sphere(100.0, 8, 16)
-    images.write_png8(folder / "Haut & Haar ü.png", np.full((8, 8, 3), [0.8, 0.5, 0.4]))
-    (folder / "mein kopf.mtl").write_text("newmtl haut 1\nmap_Kd Haut & Haar ü.png\n")
-    scan = write_obj(
-        folder / "mein kopf ü.obj", positions + 5000.0, faces[:, ::-1], uv[:, ::-1],
-        "mein kopf.mtl", "haut 1",
-    )  # fmt: skip
-    tiny = BakeSettings(albedo_px=32, normal_px=32, data_px=32, ao_rays=4, thickness_rays=1)
-    prep = PrepSettings(simplify=SimplifySettings(triangles=400), bake=tiny)
-    asset = prepare(scan, ScanSettings(units="mm"), prep, folder / "fertig ü")
-    np.testing.assert_allclose(np.linalg.norm(asset.mesh.positions_mm, axis=1), 100.0, rtol=0.05)
-    mean = images.linear_from_srgb(np.array([0.8, 0.5, 0.4]))
-    np.testing.assert_allclose(asset.maps["albedo"].mean(axis=(0, 1)), mean, atol=0.02)
-    assert sorted(p.name for p in Path(folder).iterdir())[0] != ".writing"
-    assert not [p.name for p in folder.iterdir() if p.name.startswith(".")]

@@ -15,7 +15,7 @@ from scanrender import images
 from scanrender.errors import ScanError, ScanrenderError, UsageError
 from scanrender.scan.ingest import FORMATS, read_scan
 from scanrender.scan.raw import NO_PAGE
-from scanrender.scan.triangulate import fan_corners, strip_faces
+from scanrender.scan.triangulate import fan_corners, polygon_corners, strip_faces
 
 
 def volume(raw):
@@ -263,6 +263,43 @@ def test_fans_and_strips():
     assert fan_corners(np.array([3, 2, 4])).tolist() == [[0, 1, 2], [5, 6, 7], [5, 7, 8]]
     strips = np.array([0, 1, 2, 3, -1, 4, 5, 6])
     assert strip_faces(strips).tolist() == [[0, 1, 2], [2, 1, 3], [4, 5, 6]]
+
+
+OUTLINES = {
+    "dart": [(0, 0), (4, 0), (1, 1), (0, 4)],  # its first corner sees all others
+    "turned dart": [(4, 0), (1, 1), (0, 4), (0, 0)],  # here it does not
+    "arrow": [(0, 0), (2, 0), (2, 2), (1, 0.5), (0, 2)],
+    "comb": [(0, 0), (7, 0), (7, 3), (6, 3), (5, 1), (4, 3), (3, 1), (2, 3), (1, 1), (0, 3)],
+}
+
+
+@pytest.mark.parametrize("axes", [(0, 1, 2), (1, 2, 0), (2, 0, 1), (1, 0, 2), (0, 2, 1)])
+@pytest.mark.parametrize("name", OUTLINES)
+def test_concave_polygons_are_neither_folded_nor_left_open(name, axes):
+    outline = np.array(OUTLINES[name], float)
+    area = 0.5 * np.sum(
+        outline[:, 0] * np.roll(outline[:, 1], -1) - outline[:, 1] * np.roll(outline[:, 0], -1)
+    )
+    # A triangle before and a point that does not exist behind, so that offsets matter.
+    flat = np.concatenate([[(9.0, 9.0), (9.0, 8.0), (8.0, 9.0)], outline])
+    places = np.concatenate([flat, np.zeros((len(flat), 1))], axis=1)[:, axes]
+    sizes = np.array([3, len(outline), 4])
+    vertex = np.concatenate([np.arange(len(flat)), [0, 1, 2, 99]])
+    triangles = polygon_corners(sizes, vertex, places)
+    assert len(triangles) == 1 + len(outline) - 2 + 2
+    mine = triangles[1 : len(outline) - 1]
+    a, b, c = (places[vertex[mine[:, i]]] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    np.testing.assert_allclose(0.5 * np.linalg.norm(normal, axis=1).sum(), area)
+    assert (normal @ normal.sum(axis=0) >= 0.0).all()
+
+
+def test_a_polygon_of_many_corners_that_crosses_itself_still_ends(tmp_path):
+    rng = np.random.default_rng(0)
+    for count in (40, 5000):
+        rows = "".join(f"v {x} {y} 0\n" for x, y in rng.random((count, 2)))
+        (tmp_path / "a.obj").write_text(rows + "f " + " ".join(map(str, range(1, count + 1))))
+        assert len(read_scan(tmp_path / "a.obj").faces) == count - 2
 
 
 def real(name):

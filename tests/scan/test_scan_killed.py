@@ -7,6 +7,7 @@ import random
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import uuid
@@ -78,80 +79,117 @@ def marker(monkeypatch):
     return value
 
 
+class Killer:
+    """Sends SIGKILL to preparation children: each to one in turn, when it has come so far.
+
+    Also a progress callback, so that a moment is a stage of the child and not a time of the clock,
+    which a busy machine stretches.
+    """
+
+    def __init__(self) -> None:
+        self.children: list[subprocess.Popen[bytes]] = []
+        self.plan: dict[int, tuple[str, float]] = {}  # by number of the child: stage, delay in s
+        self.began: list[tuple[str, float]] = []
+
+    def start(self, *arguments, **keywords):
+        self.children.append(POPEN(*arguments, **keywords))
+        return self.children[-1]
+
+    def __call__(self, stage: str, _fraction: float) -> None:
+        if not self.began or self.began[-1][0] != stage:
+            self.began.append((stage, time.monotonic()))
+        wanted, delay = self.plan.get(len(self.children), ("", 0.0))
+        if stage == wanted:
+            del self.plan[len(self.children)]
+            # send_signal looks first whether the process has ended: its number may be another's.
+            kill = self.children[-1].send_signal
+            threading.Timer(delay, kill, [signal.SIGKILL]).start() if delay else kill(
+                signal.SIGKILL
+            )
+
+    def stages(self) -> dict[str, float]:
+        """Seconds of each stage of what has run since the last call, in their order."""
+        ends = [*(start for _, start in self.began[1:]), time.monotonic()]
+        found = {name: end - start for (name, start), end in zip(self.began, ends, strict=True)}
+        self.began.clear()
+        return found
+
+
+POPEN = subprocess.Popen
+
+
 @pytest.fixture
 def killer(monkeypatch):
-    """killer(delay): the next preparation's child gets SIGKILL after so many seconds."""
-    pending: list[float] = []
-    popen = subprocess.Popen
-
-    def start(*arguments, **keywords):
-        process = popen(*arguments, **keywords)
-        delay = pending.pop(0) if pending else None
-        if delay is not None:
-            # send_signal looks first whether the process has ended: its number may be another's.
-            threading.Timer(delay, process.send_signal, [signal.SIGKILL]).start()
-        return process
-
-    monkeypatch.setattr(child.subprocess, "Popen", start)
-    return pending.append
+    made = Killer()
+    monkeypatch.setattr(child.subprocess, "Popen", made.start)
+    return made
 
 
 @linux_only
-def test_twenty_kills_at_random_moments_never_leave_half_an_asset(tmp_path, killer, marker):
-    """The asset of an earlier run stays whole until a new one is; nothing else lies beside it.
-
-    As is: without the unwrapper, whose time would be most of the trial. The tests below kill that.
-    """
-    scan = textured_scan(tmp_path / "a.obj")
-    started = time.monotonic()
-    prepare(scan, ScanSettings(), TINY, tmp_path / "asset", as_is=True)
-    duration = time.monotonic() - started
-    before = load_asset(tmp_path / "asset").mesh.faces.tolist()
-    moments = random.Random(3)
-    ended = {"killed": 0, "finished": 0}
-    for _ in range(20):
-        killer(moments.uniform(0.0, duration))
-        try:
-            prepare(scan, ScanSettings(), TINY, tmp_path / "asset", as_is=True)
-            ended["finished"] += 1
-        except StageError as error:
-            ended["killed"] += "was killed" in error.what
-        assert names(tmp_path) == ["a.obj", "asset"]
-        assert load_asset(tmp_path / "asset").mesh.faces.tolist() == before
-    assert sum(ended.values()) == 20, "each ended as an asset, or as killed"
-    assert ended["killed"] >= 10, ended
-    assert all_gone(marker)
-
-
-def test_a_killed_child_does_not_stop_the_batch(tmp_path, monkeypatch):
-    scans = [small_scan(tmp_path / f"{name}.ply") for name in "abc"]
+def test_twenty_kills_in_every_stage_never_stop_the_batch_nor_leave_half_an_asset(
+    tmp_path, killer, marker, monkeypatch
+):
+    """One batch of 23: twenty are killed, as each stage begins and at random moments after that."""
+    scans = [small_scan(tmp_path / f"{number:02}.ply") for number in range(24)]
     keys = ("albedo_px", "normal_px", "data_px", "ao_rays", "thickness_rays")
     tiny = [f"prep.bake.{key}={getattr(TINY.bake, key)}" for key in keys]
-    started: list[subprocess.Popen[bytes]] = []
-    popen = subprocess.Popen
+    pipeline = load_pipeline("prep_only", [*tiny, "prep.report=short"])
+    out, temporary = tmp_path / "out", tmp_path / "tmp"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    run_batch(scans[:1], pipeline, tmp_path / "first", killer, lambda _: None)
+    stages = killer.stages()
+    assert list(stages)[-1] == "save"
+    assert len(stages) >= 8
+    moments = random.Random(3)
+    victims = [n for n in range(1, 24) if n not in (5, 14, 23)]
+    for trial, victim in enumerate(victims):
+        begin = trial < len(stages)
+        stage = list(stages)[trial] if begin else moments.choice(list(stages))
+        killer.plan[victim + 1] = stage, 0.0 if begin else moments.uniform(0.001, stages[stage])
+    batch = run_batch(scans[1:], pipeline, out, killer, lambda _: None)
+    finished = {result.name for result in batch.results}
+    killed = {path.stem: error for path, error in batch.failures}
+    assert {"05", "14", "23"} <= finished
+    assert len(finished) + len(killed) == 23
+    assert len(killed) >= len(stages), "each stage was killed as it began"
+    for error in killed.values():
+        assert error.exit_code == 5
+        assert "was killed" in error.what
+        assert error.fix
+    assert any("'save'" in error.what for error in killed.values())
+    for name in finished:
+        assert len(load_asset(out / name / "asset").mesh.faces)
+    for name in killed:
+        assert not (out / name / "asset").exists()
+    assert not list(out.rglob(f"{TEMPORARY_PREFIX}*"))
+    assert all_gone(marker)
+    assert names(temporary) == []
 
-    def remember(*arguments, **keywords):
-        started.append(popen(*arguments, **keywords))
-        return started[-1]
 
-    monkeypatch.setattr(child.subprocess, "Popen", remember)
-
-    def kill_second(stage, fraction):
-        if len(started) == 2 and stage == "unwrap":
-            started[1].send_signal(signal.SIGKILL)
-
-    batch = run_batch(
-        scans, load_pipeline("prep_only", tiny), tmp_path / "out", kill_second, lambda _: None
-    )
-    assert [result.name for result in batch.results] == ["a", "c"]
-    [(failed, error)] = batch.failures
-    assert failed == scans[1]
-    assert error.exit_code == 5
-    assert "'unwrap' was killed" in error.what
-    for name in "ac":
-        assert len(load_asset(tmp_path / "out" / name / "asset").mesh.faces)
-    assert not (tmp_path / "out" / "b" / "asset").exists()
-    assert not list((tmp_path / "out").rglob(f"{TEMPORARY_PREFIX}*"))
+@linux_only
+def test_kills_while_saving_leave_the_earlier_asset_whole(tmp_path, killer, marker):
+    """As is: without the unwrapper, whose time would be most of the trial."""
+    scan = textured_scan(tmp_path / "a.obj")
+    asset = tmp_path / "asset"
+    prepare(scan, ScanSettings(), TINY, asset, as_is=True, progress=killer)
+    duration = killer.stages()["save"]
+    before = {file.name: file.read_bytes() for file in asset.iterdir() if file.suffix != ".json"}
+    moments = random.Random(4)
+    said = []
+    for trial in range(4):
+        killer.plan[trial + 2] = "save", 0.0 if trial == 0 else moments.uniform(0.0, duration)
+        try:
+            prepare(scan, ScanSettings(), TINY, asset, as_is=True, progress=killer)
+        except StageError as error:
+            said.append(error.what)
+        assert names(tmp_path) == ["a.obj", "asset"]
+        now = {file.name: file.read_bytes() for file in asset.iterdir() if file.suffix != ".json"}
+        assert now == before
+        load_asset(asset)
+    assert said
+    assert all("'save' was killed" in what for what in said)
+    assert all_gone(marker)
 
 
 @linux_only

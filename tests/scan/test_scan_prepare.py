@@ -184,6 +184,7 @@ def test_a_bad_scan_leaves_nothing_behind(tmp_path):
         ({"how": "SIGSEGV"}, "crashed .SIGSEGV"),
         ({"how": "SIGKILL"}, "memory ran out"),
         ({"how": "raise"}, "asked to fail"),
+        ({"how": "allocate", "mib": 1 << 30}, "'fail' ran out of memory"),
     ],
 )
 def test_a_dying_child_is_a_stage_error(params, sentence):

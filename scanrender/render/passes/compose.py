@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import moderngl
-import numpy as np
 
 from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
@@ -16,9 +15,7 @@ def passes(scene: Scene) -> list[Pass]:
     skin = scene.pipeline.skin
     reads = ["position", "diffuse"]
     has_specular = skin.specular.strength > 0.0
-    has_transmission = skin.transmission.method != "none" and any(
-        lamp.settings.shadow and np.any(lamp.irradiance) for lamp in scene.lamps
-    )
+    has_transmission = bool(scene.transmitting_lamps)
     reads += ["specular"] if has_specular else []
     reads += ["transmission"] if has_transmission else []
 

@@ -1,7 +1,8 @@
-"""curvature: curvature_raw smoothed along the surface, rows then columns."""
+"""curvature: curvature_raw, or the asset's map, smoothed on the surface, rows then columns."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import moderngl
@@ -12,10 +13,18 @@ from scanrender.render.scene import Scene, Shot
 
 
 def passes(scene: Scene) -> list[Pass]:
+    source = "_baked" if scene.pipeline.curvature.source == "baked" else "curvature_raw"
     return [
-        _direction(scene, "curvature_raw", "_curvature_horizontal", (1, 0)),
+        _direction(scene, source, "_curvature_horizontal", (1, 0)),
         _direction(scene, "_curvature_horizontal", "curvature", (0, 1)),
     ]
+
+
+def _sigma_mm(scene: Scene) -> float:
+    """What is left to smooth: the bake has done its part, and variances add."""
+    curvature = scene.pipeline.curvature
+    done = scene.baked_curvature_mm if curvature.source == "baked" else 0.0
+    return math.sqrt(max(curvature.smooth_mm**2 - done**2, 0.0))
 
 
 def _direction(scene: Scene, source: str, written: str, direction: tuple[int, int]) -> Pass:
@@ -32,8 +41,8 @@ def _direction(scene: Scene, source: str, written: str, direction: tuple[int, in
                 "taps": taps,
                 "tap_count": taps.size[0],
                 "direction": direction,
-                "sigma_mm": scene.pipeline.curvature.smooth_mm,
-                "px_per_mm_at_1mm": shot.px_per_mm_at_1mm,
+                "sigma_mm": _sigma_mm(scene),
+                **shot.screen_uniforms,
             },
         )
         scene.device.fill(program)

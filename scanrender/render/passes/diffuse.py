@@ -1,4 +1,4 @@
-"""diffuse: the weighted sum of the levels, after albedo; or plain irradiance without diffusion."""
+"""diffuse: scattered light, or the levels' weighted sum, after albedo; or plain irradiance."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ def passes(scene: Scene) -> list[Pass]:
     ) -> None:
         device = scene.device
         program = device.program("diffuse")
-        common = {name: inputs[name] for name in SURFACE}
+        common: dict[str, Any] = {name: inputs[name] for name in SURFACE}
+        common |= shot.screen_uniforms
         common["directional_albedo"] = scene.directional_albedo
         device.context.enable(moderngl.BLEND)
         device.context.blend_func = moderngl.ONE, moderngl.ONE
@@ -61,5 +62,7 @@ def _terms(scene: Scene) -> list[Term]:
         return [("diffusion_input", WHITE, NO_MASK)]
     masked = scene.uses_skin_map
     blend = SKIN_SHARE if masked else NO_MASK
-    levels = [(f"gaussian_{k}", weight, blend) for k, weight in enumerate(scene.profile.weights)]
+    levels: list[Term] = [("scattered", WHITE, blend)]
+    if scene.pipeline.diffusion.method == "gaussian_sum":
+        levels = [(f"gaussian_{k}", w, blend) for k, w in enumerate(scene.profile.weights)]
     return [*levels, *([("diffusion_input", WHITE, OTHER_SHARE)] if masked else [])]

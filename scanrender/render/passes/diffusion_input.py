@@ -13,7 +13,7 @@ from scanrender.render.scene import Scene, Shot
 
 def passes(scene: Scene) -> list[Pass]:
     by_area = scene.pipeline.diffusion.halo == "measure"
-    reads = ("irradiance", "albedo", "skin", *(["jacobian"] if by_area else []))
+    reads = ("irradiance", "albedo", "skin", *(["jacobian", "depth_mm"] if by_area else []))
 
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
@@ -23,7 +23,9 @@ def passes(scene: Scene) -> list[Pass]:
             program,
             {
                 **inputs,
+                **shot.screen_uniforms,
                 "albedo_power": scene.albedo_power,
+                "working_distance_mm": shot.working_distance_mm,
                 "use_skin": scene.uses_skin_map,
                 "use_jacobian": by_area,
             },

@@ -12,21 +12,15 @@ from scanrender.render.scene import Scene, Shot
 
 
 def passes(scene: Scene) -> list[Pass]:
-    if scene.pipeline.diffusion.method != "gaussian_sum":
+    if scene.pipeline.diffusion.method == "none":
         return []
-    levels = [f"gaussian_{k}" for k in range(len(scene.profile.weights))]
 
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
-        device = scene.device
-        program = device.program("energy_ratio")
-        device.context.enable(moderngl.BLEND)
-        device.context.blend_func = moderngl.ONE, moderngl.ONE
-        for name, weight in zip(levels, scene.profile.weights, strict=True):
-            undiffused = inputs["diffusion_input"]
-            bind(program, {"level": inputs[name], "diffusion_input": undiffused, "weight": weight})
-            device.fill(program)
+        program = scene.device.program("energy_ratio")
+        bind(program, inputs)
+        scene.device.fill(program)
 
-    reads = ("diffusion_input", *levels)
+    reads = ("scattered", "diffusion_input")
     return [Pass("energy_ratio", reads, (Buffer("energy_ratio"),), draw)]

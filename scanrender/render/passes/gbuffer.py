@@ -32,6 +32,7 @@ def passes(scene: Scene) -> list[Pass]:
             {
                 "view_from_object": shot.view_from_object,
                 "clip_from_view": shot.clip_from_view,
+                **shot.screen_uniforms,
                 "albedo_map": maps["albedo"],
                 "normal_map": maps["normal_ts"],
                 "ao_map": maps["ao"],

@@ -1,4 +1,4 @@
-"""irradiance: light that enters the skin, albedo-free, summed over ambient and lamps."""
+"""irradiance: light that enters the skin, albedo-free, summed over all lights."""
 
 from __future__ import annotations
 
@@ -9,7 +9,13 @@ import numpy as np
 
 from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
-from scanrender.render.passes._lamp import light_uniforms
+from scanrender.render.passes._lamp import (
+    AMBIENT,
+    ENVIRONMENT,
+    LAMP,
+    environment_uniforms,
+    light_uniforms,
+)
 from scanrender.render.scene import Scene, Shot
 
 
@@ -20,7 +26,6 @@ def passes(scene: Scene) -> list[Pass]:
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
         device = scene.device
-        program = device.program("irradiance")
         common = {
             "position": inputs["position"],
             "normal_shading": inputs["normal_shading"],
@@ -28,15 +33,25 @@ def passes(scene: Scene) -> list[Pass]:
             "directional_albedo": scene.directional_albedo,
         }
         ambient = {
-            "is_ambient": True,
             "ambient": scene.ambient,
             "mean_directional_albedo": scene.mean_directional_albedo,
             "visibility": scene.white,
+            "irradiance_map": scene.white,
         }
+        program = device.program("irradiance", defines=(AMBIENT,))
         bind(program, {**common, **ambient})
         device.fill(program)
         device.context.enable(moderngl.BLEND)
         device.context.blend_func = moderngl.ONE, moderngl.ONE
+        for environment in scene.environments:
+            around = {
+                **environment_uniforms(environment, shot),
+                "irradiance_map": environment.irradiance,
+                "visibility": scene.white,
+            }
+            program = device.program("irradiance", defines=(ENVIRONMENT,))
+            bind(program, {**common, **around})
+            device.fill(program)
         for lamp in scene.lamps:
             if not np.any(lamp.irradiance):
                 continue
@@ -44,10 +59,10 @@ def passes(scene: Scene) -> list[Pass]:
             uniforms = {
                 **common,
                 **light_uniforms(lamp, shot),
-                "is_ambient": False,
                 "has_shadow": has_shadow,
                 "visibility": inputs[f"visibility_{lamp.index}"] if has_shadow else scene.white,
             }
+            program = device.program("irradiance", defines=(LAMP,))
             bind(program, uniforms)
             device.fill(program)
 

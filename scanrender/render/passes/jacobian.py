@@ -18,7 +18,10 @@ def passes(scene: Scene) -> list[Pass]:
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
         program = scene.device.program("jacobian")
-        bind(program, {**inputs, "working_distance_mm": shot.working_distance_mm})
+        bind(
+            program,
+            {**inputs, **shot.screen_uniforms, "working_distance_mm": shot.working_distance_mm},
+        )
         scene.device.fill(program)
 
     return [Pass("jacobian", READS, (Buffer("jacobian", components=1),), draw)]

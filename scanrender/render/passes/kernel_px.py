@@ -8,22 +8,27 @@ import moderngl
 
 from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
+from scanrender.render.passes._scatter import width_by_curvature
 from scanrender.render.scene import Scene, Shot
 
 
 def passes(scene: Scene) -> list[Pass]:
+    by_curvature = scene.pipeline.curvature.modulation != "none"
+    reads = ("position", "curvature") if by_curvature else ("position",)
+
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
-        program = scene.device.program("kernel_px")
+        program = scene.device.program("kernel_px", defines=("CURVATURE",) if by_curvature else ())
         bind(
             program,
             {
-                "position": inputs["position"],
+                **inputs,
+                "width_by_curvature": width_by_curvature(scene),
                 "radius_mm": scene.reach_mm,
-                "px_per_mm_at_1mm": shot.px_per_mm_at_1mm,
+                **shot.screen_uniforms,
             },
         )
         scene.device.fill(program)
 
-    return [Pass("kernel_px", ("position",), (Buffer("kernel_px"),), draw)]
+    return [Pass("kernel_px", reads, (Buffer("kernel_px"),), draw)]

@@ -33,8 +33,9 @@ def _shadow(scene: Scene, lamp: Lamp) -> Pass:
 
 
 def _uniforms(lamp: Lamp, shot: Shot) -> dict[str, Matrix | float]:
+    rig_from_object = shot.rig_from_world(lamp.settings.follows) @ shot.world_from_object
     return {
-        "light_from_object": lamp.light_from_world @ shot.world_from_object,
+        "light_from_object": lamp.light_from_rig @ rig_from_object,
         "clip_from_light": lamp.clip_from_light,
-        "light_near_mm": lamp.near_mm,
+        "light_front_mm": lamp.distance_mm - lamp.near_mm,
     }

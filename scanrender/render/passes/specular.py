@@ -1,4 +1,4 @@
-"""specular: reflection at the skin's surface, summed over ambient and lamps; never blurred."""
+"""specular: reflection at the skin's surface, summed over all lights; never blurred."""
 
 from __future__ import annotations
 
@@ -10,7 +10,13 @@ import numpy as np
 
 from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
-from scanrender.render.passes._lamp import light_uniforms
+from scanrender.render.passes._lamp import (
+    AMBIENT,
+    ENVIRONMENT,
+    LAMP,
+    environment_uniforms,
+    light_uniforms,
+)
 from scanrender.render.scene import Scene, Shot
 
 
@@ -21,13 +27,24 @@ def passes(scene: Scene) -> list[Pass]:
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
         device = scene.device
-        program = device.program("specular")
-        common = {**_material(scene), **{name: inputs[name] for name in SURFACE}}
-        ambient = {"is_ambient": True, "ambient": scene.ambient, "visibility": scene.white}
+        common = {**_material(scene), **shot.screen_uniforms}
+        common |= {name: inputs[name] for name in SURFACE}
+        ambient = {"ambient": scene.ambient, "visibility": scene.white}
+        program = device.program("specular", defines=(AMBIENT,))
         bind(program, {**common, **ambient})
         device.fill(program)
         device.context.enable(moderngl.BLEND)
         device.context.blend_func = moderngl.ONE, moderngl.ONE
+        for environment in scene.environments:
+            around = {
+                **environment_uniforms(environment, shot),
+                "lobe_map_0": environment.lobes[0],
+                "lobe_map_1": environment.lobes[1],
+                "visibility": scene.white,
+            }
+            program = device.program("specular", defines=(ENVIRONMENT,))
+            bind(program, {**common, **around})
+            device.fill(program)
         for lamp in scene.lamps:
             if not np.any(lamp.irradiance):
                 continue
@@ -35,23 +52,24 @@ def passes(scene: Scene) -> list[Pass]:
             uniforms = {
                 **common,
                 **light_uniforms(lamp, shot),
-                "is_ambient": False,
                 "has_shadow": has_shadow,
                 "visibility": inputs[f"visibility_{lamp.index}"] if has_shadow else scene.white,
             }
+            program = device.program("specular", defines=(LAMP,))
             bind(program, uniforms)
             device.fill(program)
 
     return [Pass("specular", (*SURFACE, *shadowed), (Buffer("specular"),), draw)]
 
 
-SURFACE = ("position", "normal_shading", "ao")
+SURFACE = ("position", "normal_geometry", "normal_shading", "ao")
 
 
 def _material(scene: Scene) -> dict[str, Any]:
     specular = scene.pipeline.skin.specular
     return {
         "directional_albedo": scene.directional_albedo,
+        "lobe_albedo": scene.lobe_albedo,
         "f0": specular.f0,
         "roughness": tuple(np.clip(specular.roughness, 0.01, 1.0)),
         "second_lobe": specular.second_lobe,

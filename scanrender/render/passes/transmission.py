@@ -1,4 +1,4 @@
-"""transmission: light that crosses thin skin from behind, with thickness from the shadow maps."""
+"""transmission: light that crosses thin skin from behind, its way from shadow maps or baked."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
 from scanrender.render.lamps import Lamp
-from scanrender.render.passes._lamp import light_uniforms, shadow_uniforms
+from scanrender.render.passes._lamp import shadow_uniforms
+from scanrender.render.passes._scatter import width_by_curvature
 from scanrender.render.scene import Scene, Shot
 
 # Taps that average T(d), a pixel, lamp and supersample.
@@ -23,17 +24,22 @@ SURFACE = ("position", "normal_geometry", "albedo", "skin")
 
 def passes(scene: Scene) -> list[Pass]:
     """Thickness and transmittance of the first lamp that casts a shadow; light of all of them."""
-    lamps = [lamp for lamp in scene.lamps if lamp.settings.shadow]
-    if not lamps or scene.pipeline.skin.transmission.method == "none":
+    lamps = scene.transmitting_lamps
+    if not lamps:
         return []
+    is_baked = scene.pipeline.skin.transmission.method == "baked"
+    by_curvature = modulates_transmission(scene)
     table, opaque_mm = _transmittance_table(scene)
 
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
         device = scene.device
-        program = device.program("transmission")
-        common = {**{name: inputs[name] for name in SURFACE}, **_material(scene)}
+        defines = {"BAKED": is_baked, "CURVATURE": by_curvature}
+        program = device.program(
+            "transmission", defines=tuple(name for name, used in defines.items() if used)
+        )
+        common = {**_material(scene), **{name.lstrip("_"): inputs[name] for name in surface}}
         common |= {"transmittance_table": table, "opaque_mm": opaque_mm}
         for number, lamp in enumerate(lamps):
             if number == 1:
@@ -45,9 +51,18 @@ def passes(scene: Scene) -> list[Pass]:
             device.fill(program)
         _write_to(target, True, True, True)
 
-    reads = (*SURFACE, *(f"shadow_{lamp.index}" for lamp in lamps))
+    surface: tuple[str, ...] = SURFACE
+    surface += ("_baked",) if is_baked else ()
+    surface += ("curvature",) if by_curvature else ()
+    reads = (*surface, *(f"shadow_{lamp.index}" for lamp in lamps if lamp.settings.shadow))
     writes = (Buffer("transmission"), Buffer("thickness_mm", components=1), Buffer("transmittance"))
     return [Pass("transmission", reads, writes, draw)]
+
+
+def modulates_transmission(scene: Scene) -> bool:
+    """Whether curvature scales T, as the paper's figure 9 does."""
+    curvature = scene.pipeline.curvature
+    return curvature.forward_scattering and curvature.modulation != "none"
 
 
 def _write_to(target: moderngl.Framebuffer, *attachments: bool) -> None:
@@ -72,9 +87,10 @@ def _transmittance_table(scene: Scene) -> tuple[moderngl.Texture, float]:
 def _lamp_uniforms(
     scene: Scene, lamp: Lamp, shot: Shot, inputs: Mapping[str, moderngl.Texture]
 ) -> dict[str, Any]:
+    shadow_map = inputs[f"shadow_{lamp.index}"] if lamp.settings.shadow else scene.white
     return {
-        **light_uniforms(lamp, shot),
-        **shadow_uniforms(lamp, shot, inputs[f"shadow_{lamp.index}"]),
+        **shadow_uniforms(lamp, shot, shadow_map),
+        "has_shadow": lamp.settings.shadow,
         "far_mm": 2.0 * scene.radius_mm,
     }
 
@@ -87,4 +103,5 @@ def _material(scene: Scene) -> dict[str, Any]:
         "wrap": transmission.wrap,
         "use_skin": scene.uses_skin_map,
         "tap_count": TAPS,
+        "width_by_curvature": width_by_curvature(scene),
     }

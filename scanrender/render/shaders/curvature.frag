@@ -2,13 +2,13 @@
 // curvature: one direction of the smoothing, curvature_raw -> curvature (R32F, 1/mm).
 // Cross bilateral Gaussian of `sigma_mm` on the surface: a tap across a depth step does not count.
 // Check alone: nose tip and lips positive, sockets negative, smooth.
+#include "screen.glsl"
 uniform sampler2D source;
 uniform sampler2D position;
 uniform sampler2D taps;
 uniform int tap_count;
 uniform vec2 direction;
 uniform float sigma_mm;
-uniform float px_per_mm_at_1mm;
 
 layout(location = 0) out float smoothed;
 
@@ -18,7 +18,7 @@ void main() {
     vec4 p = texelFetch(position, here, 0);
     smoothed = 0.0;
     if (p.a == 0.0) return;
-    float sigma_px = sigma_mm * px_per_mm_at_1mm / max(-p.z, 1e-6);
+    float sigma_px = sigma_mm * px_per_mm(-p.z);
     float sum = 0.0;
     float total = 0.0;
     for (int i = 0; i < tap_count; ++i) {

@@ -4,6 +4,7 @@
 // s = skin, so that what is no skin keeps its own, unscattered light. Up to eight levels a draw,
 // more are added by further draws.
 // Check alone: soft skin; brows, lashes and eyes as sharp as the albedo.
+#include "screen.glsl"
 uniform sampler2D level_0;         // RGB premultiplied, a = mask
 uniform sampler2D level_1;
 uniform sampler2D level_2;
@@ -41,7 +42,7 @@ void main() {
     vec3 sum = term(level_0, 0, here) + term(level_1, 1, here) + term(level_2, 2, here)
              + term(level_3, 3, here) + term(level_4, 4, here) + term(level_5, 5, here)
              + term(level_6, 6, here) + term(level_7, 7, here);
-    vec3 v = -normalize(texelFetch(position, here, 0).xyz);
+    vec3 v = direction_to_eye(texelFetch(position, here, 0).xyz);
     float cosine = clamp(dot(texelFetch(normal_shading, here, 0).xyz, v), 0.0, 1.0);
     float leaves = 1.0 - texture(directional_albedo, vec2(cosine, 0.5)).r;
     vec3 tint = albedo_power < 1.0 ? pow(a.rgb, vec3(1.0 - albedo_power)) : vec3(1.0);

@@ -1,9 +1,8 @@
 #version 330 core
-// energy_ratio: sum_k w_k gaussian_k over diffusion_input, per channel, added level by level.
+// energy_ratio: scattered over diffusion_input, per channel.
 // 1 where light stays, above 1 where it arrives (inside shadow edges), below 1 where it leaves.
-uniform sampler2D level;
+uniform sampler2D scattered;
 uniform sampler2D diffusion_input;
-uniform vec3 weight;
 layout(location = 0) out vec4 energy_ratio;
 
 void main() {
@@ -13,6 +12,6 @@ void main() {
     if (undiffused.a == 0.0) return;
     // A shadow's core has no light of its own: the floor keeps the ratio finite there.
     vec3 floor_value = vec3(1e-4 * undiffused.a);
-    vec3 share = texelFetch(level, here, 0).rgb / max(undiffused.rgb, floor_value);
-    energy_ratio = vec4(weight * share, 0.0);
+    vec3 ratio = texelFetch(scattered, here, 0).rgb / max(undiffused.rgb, floor_value);
+    energy_ratio = vec4(ratio, 0.0);
 }

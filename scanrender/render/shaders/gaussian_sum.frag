@@ -1,69 +1,53 @@
 #version 330 core
 // gaussian_sum: one direction of one Gaussian of the profile.
-//   source (diffusion_input or gaussian_{k-1}) + depth_mm -> gaussian_k (RGB premultiplied, a mask)
+//   source (diffusion_input or gaussian_{k-1}) + depth_mm + guides -> gaussian_k (RGB premultiplied)
 // Progressive: G(v1) * G(v2) = G(v1 + v2), so level k blurs level k-1 by v_k - v_{k-1}
 // (d'Eon & Luebke 2007; Jimenez & Gutierrez 2010 in screen space).
 // Radius on screen: px = mm 0.5 H P11 / z: independent of distance, field of view, aspect and
-// resolution. Below 0.7 px the three-tap kernel [v/2, 1-v, v/2] has exactly the variance wanted and
-// tends to the identity; above it the bilinear fetch's own variance of 1/6 px^2 is taken off.
-// Across a depth step dz a tap counts exp(-dz^2 / 2v), the Gaussian's own third dimension, so there
-// is no scale constant. halo = depth: Jimenez' correction, what is lost goes to the centre.
-// halo = measure: it is lost to the normalization (with diffusion_input's jacobian, a mean over the
-// surface: exact on planes tilted about a screen axis; Mikkelsen 2010).
-// Check alone: constant irradiance stays constant; gaussian_k is softer than gaussian_{k-1}.
-uniform sampler2D source;
-uniform sampler2D depth_mm;      // -z, 0 where there is no surface
+// resolution. Up to narrow_px sigma the taps are whole pixels, with weights from a table of exact
+// integrals over pixel footprints, that tends to the identity; wider ones lie between two pixels, and
+// the variance of that is taken off.
+// Across a depth step a tap counts exp(-dz^2 / 2v), the Gaussian's own third dimension, so there is
+// no scale constant. HALO_MEASURE: the distance is that of the 3-D points, and a tilted plane's
+// foreshortening narrows the kernel on screen. Check alone: constant irradiance stays constant.
+#define WEIGHT float
+#include "scatter.glsl"
+uniform sampler2D table;         // rows: sigma 0 to table_px; columns: taps -radius to radius
+uniform int radius;              // px
+uniform float table_px;
+uniform float narrow_px;         // sigma up to which the table is used
 uniform vec2 taps[255];          // (offset in sigma, weight); the first tap_count weights sum to 1
 uniform int tap_count;
-uniform vec2 direction;          // (1,0) or (0,1)
+uniform float tap_cell;          // sigma, how far a tap may move
 uniform float sigma_mm;          // of this increment
-uniform float px_per_mm_at_1mm;
-uniform int halo;                // 0 none, 1 depth, 2 measure
-
-layout(location = 0) out vec4 blurred;
-
-ivec2 here = ivec2(gl_FragCoord.xy);
-ivec2 last = textureSize(depth_mm, 0) - 1;
-vec4 centre;
-float centre_z;
-float inverse_two_v;
-
-vec4 faded(vec4 tap, ivec2 texel) {
-    if (halo == 0) return tap;
-    float z = texelFetch(depth_mm, clamp(texel, ivec2(0), last), 0).r;
-    // Where nothing was drawn there is no depth; its mask of 0 already keeps it out.
-    float dz = z > 0.0 ? z - centre_z : 0.0;
-    float near = exp(-dz * dz * inverse_two_v);
-    return halo == 1 ? mix(centre, tap, near) : near * tap;
-}
+uniform float bilinear_px2;      // variance taken off a tap between two pixels
+uniform float shift_px;          // the sample's place in its pixel, along the direction
 
 void main() {
-    centre = texelFetch(source, here, 0);
-    centre_z = texelFetch(depth_mm, here, 0).r;
-    if (centre_z <= 0.0) { blurred = vec4(0.0); return; }
-    inverse_two_v = 0.5 / max(sigma_mm * sigma_mm, 1e-12);
-    float sigma_px = sigma_mm * px_per_mm_at_1mm / max(centre_z, 1e-6);
-    float v_px = sigma_px * sigma_px;
-
-    vec4 sum = vec4(0.0);
-    if (v_px < 0.5) {
-        ivec2 step_px = ivec2(direction);
-        for (int side = -1; side <= 1; side += 2) {
-            ivec2 texel = clamp(here + side * step_px, ivec2(0), last);
-            sum += 0.5 * v_px * faded(texelFetch(source, texel, 0), texel);
+    if (!begin()) return;
+    float sigma = max(sigma_mm * width_factor(), 1e-6);
+    float v = sigma * sigma;
+    float v_px = v / (mm_per_px * mm_per_px);
+    float stretch = 1.0;
+#ifdef HALO_MEASURE
+    stretch = stretch2();
+#endif
+    float sigma_px = sqrt(v_px / stretch);
+    if (sigma_px <= narrow_px) {
+        float step_mm2 = mm_per_px * mm_per_px * stretch;
+        // A pixel is no point: its own variance counts with the Gaussian's.
+        float falloff = 0.5 / (v + step_mm2 / 6.0);
+        vec2 size = vec2(textureSize(table, 0));
+        float row = (sigma_px / table_px * (size.y - 1.0) + 0.5) / size.y;
+        for (int j = -radius; j <= radius; ++j) {
+            float k = textureLod(table, vec2((float(j + radius) + 0.5) / size.x, row), 0.0).r;
+            add_at(k, j, step_mm2, falloff);
         }
-        sum += (1.0 - v_px) * centre;
     } else {
-        float reach = sqrt(v_px - 1.0 / 6.0);
-        vec2 inverse_size = 1.0 / vec2(last + 1);
-        for (int i = 0; i < tap_count; ++i) {
-            vec2 tap = taps[i];
-            vec2 at = gl_FragCoord.xy + direction * (tap.x * reach);
-            sum += tap.y * faded(texture(source, at * inverse_size), ivec2(floor(at)));
-        }
+        float reach = sqrt(v_px - bilinear_px2);
+        float moved = 2.0 * noise() * tap_cell;
+        for (int i = 0; i < tap_count; ++i)
+            add_between(taps[i].y, (taps[i].x + moved) * reach - shift_px, mm_per_px * mm_per_px, 0.5 / v);
     }
-    // The centre's own range weight is 1: the sum cannot vanish, even with an even number of taps.
-    sum += 1e-5 * centre;
-    // Normalized by the mask that was met; premultiplied again by the pixel's own.
-    blurred = vec4(sum.rgb * (centre.a / max(sum.a, 1e-8)), centre.a);
+    finish();
 }

@@ -2,6 +2,7 @@
 // gbuffer: mesh + maps -> position (view, mm; a = coverage), normal_geometry, normal_shading
 // (view, unit), albedo (lin_rec709_scene; a = 1), skin, ao, depth_mm.
 // Check alone: normal_geometry must show no pores, normal_shading must.
+#include "screen.glsl"
 in vec3 v_position;
 in vec3 v_normal;
 in vec4 v_tangent;
@@ -28,7 +29,7 @@ vec3 safe_unit(vec3 v, vec3 otherwise) {
 }
 
 void main() {
-    vec3 to_eye = -normalize(v_position);
+    vec3 to_eye = direction_to_eye(v_position);
     vec3 n = safe_unit(v_normal, to_eye);
     // An open back or a hole shows the inside of the surface. It is lit from the side that is seen,
     // and drawn as no skin at all: the hollow of a face, textured, reads as a second face.

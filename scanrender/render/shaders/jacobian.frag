@@ -5,6 +5,7 @@
 // image); with |x| = z / cos(phi_i) that is z^2 cos(phi_i) / cos(phi_j).
 // phi_i: pixel ray to optical axis; phi_j: ray to normal, its cosine clamped: no raw 1/cos.
 // Check alone: 1 in the middle of the face, rising smoothly toward silhouettes.
+#include "screen.glsl"
 uniform sampler2D position;
 uniform sampler2D normal_geometry;
 uniform float working_distance_mm;
@@ -16,9 +17,9 @@ void main() {
     vec4 p = texelFetch(position, here, 0);
     jacobian = 0.0;
     if (p.a == 0.0) return;
-    vec3 ray = normalize(p.xyz);
-    float cos_i = -ray.z;
-    float cos_j = max(abs(dot(texelFetch(normal_geometry, here, 0).xyz, ray)), 0.05);
-    float z = p.z / working_distance_mm;
-    jacobian = z * z * cos_i / cos_j;
+    vec3 to_eye = direction_to_eye(p.xyz);
+    float cos_i = to_eye.z;
+    float cos_j = max(abs(dot(texelFetch(normal_geometry, here, 0).xyz, to_eye)), 0.05);
+    float side = px_per_mm(working_distance_mm) / px_per_mm(-p.z);  // of a facing pixel
+    jacobian = side * side * cos_i / cos_j;
 }

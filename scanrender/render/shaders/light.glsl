@@ -1,21 +1,25 @@
-// A directional or spot light as the passes see it.
+// A directional, point or spot light as the passes see it.
 uniform vec3 light_to_light;      // view space, unit, subject centre -> light
-uniform vec3 light_position;      // view space, mm (spots only)
-uniform bool light_is_spot;
-uniform float light_distance_mm;  // spot to subject centre, where its irradiance is stated
+uniform vec3 light_position;      // view space, mm (point and spot)
+uniform bool light_is_near;       // it stands somewhere: point or spot
+uniform float light_distance_mm;  // lamp to subject centre, where its irradiance is stated
+uniform float light_radius_mm;    // of the lamp; inside it the light grows no more
 uniform vec2 light_cone;          // cosines at the dark rim and where it is full; (-2, -1.5) = none
 uniform vec3 light_irradiance;    // RGB in units of pi, at the subject's centre
 
-// Unit vector from the surface point to the light.
+// Unit vector from the surface point to the light. A point inside the lamp gets its axis.
 vec3 direction_to_light(vec3 position) {
-    return light_is_spot ? normalize(light_position - position) : light_to_light;
+    vec3 d = light_position - position;
+    float squared = dot(d, d);
+    return light_is_near && squared > 1e-12 ? d * inversesqrt(squared) : light_to_light;
 }
 
 // Irradiance at normal incidence, in units of pi: inverse square from the stated distance, cone.
 vec3 incident_irradiance(vec3 position) {
-    if (!light_is_spot) return light_irradiance;
+    if (!light_is_near) return light_irradiance;
     vec3 d = light_position - position;
-    float fall = light_distance_mm * light_distance_mm / max(dot(d, d), 1e-6);
-    float cosine = dot(normalize(d), light_to_light);
+    float nearest = max(light_radius_mm * light_radius_mm, 1e-6);
+    float fall = light_distance_mm * light_distance_mm / max(dot(d, d), nearest);
+    float cosine = dot(direction_to_light(position), light_to_light);
     return light_irradiance * fall * smoothstep(light_cone.x, light_cone.y, cosine);
 }

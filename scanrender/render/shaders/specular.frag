@@ -1,17 +1,22 @@
 #version 330 core
-// specular: position, normal_shading, ao, visibility_N -> specular (RGB radiance, added over lamps).
+// specular: position, normals, ao, visibility_N -> specular (RGB radiance, added over lights).
 // Kelemen & Szirmay-Kalos 2001: f = D_Beckmann(N.H, m) F(H.V) / (h.h), h = L + V un-normalised.
 // D carries the 1/pi that GPU Gems 3 drops; irradiance in units of pi cancels it here.
-// Never blurred. Ambient: directional albedo times the constant light, dimmed by ao.
+// Never blurred. KIND: 0 ambient, 1 lamp, 2 environment. Ambient: directional albedo times the constant light, dimmed by ao.
 // Check alone: highlights as sharp as the normal map; none in shadow.
 #include "common.glsl"
+#include "environment.glsl"
 #include "light.glsl"
+#include "screen.glsl"
 uniform sampler2D position;
 uniform sampler2D normal_shading;
 uniform sampler2D ao;
 uniform sampler2D visibility;
 uniform sampler2D directional_albedo;
-uniform bool is_ambient;
+uniform sampler2D normal_geometry;
+uniform sampler2D lobe_map_0;    // the environment through each lobe, over mirror directions
+uniform sampler2D lobe_map_1;
+uniform sampler2D lobe_albedo;   // over cos theta: what each lobe reflects, with its share
 uniform bool has_shadow;
 uniform vec3 ambient;
 uniform float f0;
@@ -28,17 +33,54 @@ float beckmann_pi(float cosine, float m) {
     return exp((c2 - 1.0) / (c2 * m2)) / (m2 * c2 * c2);
 }
 
+// Share of a cone of half angle `lobe` that lies in the cone `open` around the normal, `apart` from
+// its axis (Oat & Sander 2007), all in radians.
+float cone_overlap(float open, float lobe, float apart) {
+    float inner = abs(open - lobe);
+    float t = 1.0 - clamp((apart - inner) / max(open + lobe - inner, 1e-4), 0.0, 1.0);
+    float whole = 1.0 - cos(min(open, lobe));
+    return whole * t * t * (3.0 - 2.0 * t) / (1.0 - cos(lobe));
+}
+
+// How much of a lobe the same surroundings hide that hide the sky: the sky that is seen is a cone
+// around the normal with the same ambient occlusion (Jimenez et al. 2016), so that what lies low is
+// hidden first. Relative to an open surface, whose lobe the table already ends at the horizon.
+float specular_occlusion(float cosine, float share, float m) {
+    float open = acos(sqrt(clamp(1.0 - share, 0.0, 1.0)));
+    float lobe = 2.0 * atan(0.7 * m);
+    float apart = acos(cosine);
+    return clamp(cone_overlap(open, lobe, apart) / cone_overlap(0.5 * PI, lobe, apart), 0.0, 1.0);
+}
+
+// Split sum (Karis 2013): the environment through each lobe times what the lobe reflects.
+vec3 reflected_environment(ivec2 here, vec3 n, vec3 v) {
+    float cosine = clamp(dot(n, v), 0.0, 1.0);
+    vec3 mirror = reflect(-v, n);
+    float open = texelFetch(ao, here, 0).r;
+    vec2 reflects = texture(lobe_albedo, vec2(cosine, 0.5)).rg;
+    // A normal map can mirror what lies behind the surface.
+    float above = clamp(1.0 + dot(mirror, texelFetch(normal_geometry, here, 0).xyz), 0.0, 1.0);
+    vec2 uv = picture_uv(mirror);
+    vec3 first = textureLod(lobe_map_0, uv, 0.0).rgb * specular_occlusion(cosine, open, roughness.x);
+    vec3 second = textureLod(lobe_map_1, uv, 0.0).rgb * specular_occlusion(cosine, open, roughness.y);
+    return above * above * (reflects.x * first + reflects.y * second);
+}
+
 void main() {
     ivec2 here = ivec2(gl_FragCoord.xy);
     vec4 p = texelFetch(position, here, 0);
     specular = vec4(0.0);
     if (p.a == 0.0) return;
     vec3 n = texelFetch(normal_shading, here, 0).xyz;
-    vec3 v = -normalize(p.xyz);
-    if (is_ambient) {
+    vec3 v = direction_to_eye(p.xyz);
+    if (KIND == 0) {
         float cosine = clamp(dot(n, v), 0.0, 1.0);
         float open = texelFetch(ao, here, 0).r;
         specular = vec4(ambient * open * texture(directional_albedo, vec2(cosine, 0.5)).r, 0.0);
+        return;
+    }
+    if (KIND == 2) {
+        specular = vec4(reflected_environment(here, n, v), 0.0);
         return;
     }
     vec3 l = direction_to_light(p.xyz);

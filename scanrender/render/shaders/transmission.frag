@@ -1,10 +1,12 @@
 #version 330 core
-// transmission: position, normal_geometry, albedo, skin, shadow_N
+// transmission: position, normal_geometry, albedo, skin, shadow_N, _baked, curvature
 //   -> thickness_mm (R32F), transmittance (RGB), transmission (RGB radiance, added over lamps).
 // Jimenez et al. 2010, with T(d) = sum w exp(-d^2 / 2v): their exp(-d^2 / v) is the wrong plane
 // integral (0.305 for 0.406 in red at 1 mm). T is averaged over the taps, not d: mean T(d) != T(mean
 // d). d is clamped with max(0, .), never abs(), which would turn acne into glow.
 // Light below `bias_mm` of skin is the lit face itself, which irradiance already holds.
+// BAKED: d is the asset's thickness along the normal; light enters where that comes out behind, unless
+// something hides that point. CURVATURE: T is scaled by curvature, a mistake that figure 9 shows.
 // Check alone: thickness_mm is small at ears only; transmission is black on the lit side.
 #include "common.glsl"
 #include "light.glsl"
@@ -23,6 +25,14 @@ uniform float far_mm;          // thickness where the light never entered
 uniform bool use_skin;
 uniform int tap_count;
 uniform float turn;
+#ifdef BAKED
+uniform sampler2D baked;       // g: mm
+uniform bool has_shadow;
+#endif
+#ifdef CURVATURE
+uniform sampler2D curvature;   // 1/mm
+uniform vec4 width_by_curvature;
+#endif
 
 layout(location = 0) out vec4 transmission;
 layout(location = 1) out float thickness_mm;
@@ -33,6 +43,53 @@ vec3 transmittance_at(float d) {
     float u = (sqrt(d / opaque_mm) * (size - 1.0) + 0.5) / size;
     return textureLod(transmittance_table, vec2(u, 0.5), 0.0).rgb;
 }
+
+#ifdef BAKED
+// d of the map; its light is what reaches the back, p - n d, past what stands before it.
+vec3 crossing(vec3 p, vec3 n, vec3 l, ivec2 here) {
+    float d = texelFetch(baked, here, 0).g;
+    thickness_mm = d;
+    vec3 t = d >= opaque_mm ? vec3(0.0) : transmittance_at(d);
+    if (!has_shadow || d >= opaque_mm) return t;
+    LightPoint back = light_point(p - n * d, n);
+    if (!back.in_map) return t;  // nothing tells what stands before it
+    // The back leans and bends: the map's d does not lead to it exactly.
+    float slack = max(bias_mm, 0.5 * d) + texel_mm;
+    float seen = 0.0;
+    for (int i = 0; i < tap_count; ++i) {
+        vec2 offset = disk_point(i, tap_count, turn) * max(blur_mm, texel_mm);
+        float first = first_depth(back, offset);
+        seen += first < plane_depth(back, offset) - slack ? 0.0 : 1.0;
+    }
+    return t * seen / float(tap_count);
+}
+#else
+vec3 crossing(vec3 p, vec3 n, vec3 l, ivec2 here) {
+    LightPoint inside = light_point(p - n * bias_mm, n);
+    if (!inside.in_map) return vec3(0.0);  // no map tells how thick it is there
+
+    bool away = dot(l, n) < 0.0;
+    // The receiver was moved toward the light; the light still has to cross that much more.
+    float buried = bias_mm * max(0.0, -dot(l, n));
+    vec3 t = vec3(0.0);
+    float thickness = 0.0;
+    for (int i = 0; i < tap_count; ++i) {
+        vec2 offset = disk_point(i, tap_count, turn) * max(blur_mm, texel_mm);
+        float entry = first_depth(inside, offset);
+        // Away from the light, a tap that enters deeper than the point itself (or nowhere) tells of
+        // no path through skin: it counts as thick. On the lit side it is the lit face, 0 thick.
+        // Taps beside the point meet its own tilted plane: its depth there counts.
+        float exit = plane_depth(inside, offset);
+        bool no_path = away && entry > exit + bias_mm;
+        float d = no_path ? far_mm : max(0.0, exit - entry) * inside.way_per_depth + buried;
+        thickness += d;
+        // Fading in over one more bias keeps the terminator smooth when `wrap` lights it.
+        t += d >= opaque_mm ? vec3(0.0) : smoothstep(bias_mm, 2.0 * bias_mm, d) * transmittance_at(d);
+    }
+    thickness_mm = thickness / float(tap_count);
+    return t / float(tap_count);
+}
+#endif
 
 void main() {
     ivec2 here = ivec2(gl_FragCoord.xy);
@@ -45,29 +102,11 @@ void main() {
     vec3 l = direction_to_light(p.xyz);
     float back = max(0.0, wrap - dot(l, n));
     if (back == 0.0) return;  // the lit face: nothing to cross
-    LightPoint inside = light_point(p.xyz - n * bias_mm);
-    // Taps beside the point meet its own tilted plane: its depth there, not the point's, counts.
-    vec2 slope = plane_slope(n);
-
-    bool away = dot(l, n) < 0.0;
-    // The receiver was moved toward the light; the light still has to cross that much more.
-    float buried = bias_mm * max(0.0, -dot(l, n));
-    vec3 t = vec3(0.0);
-    float thickness = 0.0;
-    for (int i = 0; i < tap_count; ++i) {
-        vec2 offset = disk_point(i, tap_count, turn) * max(blur_mm, texel_mm);
-        float entry = texture(shadow_map, inside.uv + offset / inside.mm_per_uv).r;
-        // Away from the light, a tap that enters deeper than the point itself (or nowhere) tells of
-        // no path through skin: it counts as thick. On the lit side it is the lit face, 0 thick.
-        float exit = inside.depth_mm + dot(slope, offset);
-        bool no_path = away && entry > exit + bias_mm;
-        float d = no_path ? far_mm : max(0.0, exit - entry) + buried;
-        thickness += d;
-        // Fading in over one more bias keeps the terminator smooth when `wrap` lights it.
-        t += d >= opaque_mm ? vec3(0.0) : smoothstep(bias_mm, 2.0 * bias_mm, d) * transmittance_at(d);
-    }
-    thickness_mm = thickness / float(tap_count);
-    t /= float(tap_count);
+    vec3 t = crossing(p.xyz, n, l, here);
+#ifdef CURVATURE
+    float bent = min(max(texelFetch(curvature, here, 0).r, 0.0) * width_by_curvature.z, 1.0);
+    t *= width_by_curvature.x + width_by_curvature.y * bent;
+#endif
     transmittance = vec4(t, 1.0);
 
     float s = use_skin ? texelFetch(skin, here, 0).r : 1.0;

@@ -1,0 +1,30 @@
+"""baked: curvature and thickness from the asset's maps, for settings that ask for them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import moderngl
+
+from scanrender.render.device import bind
+from scanrender.render.graph import Buffer, Pass
+from scanrender.render.scene import Scene, Shot
+
+
+def passes(scene: Scene) -> list[Pass]:
+    def draw(
+        shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
+    ) -> None:
+        program = scene.device.program("baked", vertex="mesh")
+        bind(
+            program,
+            {
+                "view_from_object": shot.view_from_object,
+                "clip_from_view": shot.clip_from_view,
+                "curvature_map": scene.data_map("curvature"),
+                "thickness_map": scene.data_map("thickness_mm"),
+            },
+        )
+        scene.draw_mesh(program)
+
+    return [Pass("baked", (), (Buffer("_baked"),), draw, depth_test=True)]

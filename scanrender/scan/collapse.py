@@ -1,0 +1,179 @@
+"""Quadric edge collapse in steps; runs inside the child process of `simplify`.
+
+Garland and Heckbert: Surface Simplification Using Quadric Error Metrics, SIGGRAPH 1997, in the
+variant of sp4cerat/Fast-Quadric-Mesh-Simplification through the fast-simplification wheel.
+In steps, since each run starts with new quadrics of the present triangles: Lindstrom and Turk:
+Fast and Memory Efficient Polygonal Simplification, IEEE Visualization 1998, found that forgetting
+the original planes follows the shape more closely, and the library is quick on few triangles.
+
+The library knows no weights, but its quadrics are sums over triangles: one that is cut into three
+weighs three times as much. So detail (`detail_faces`) keeps more. The trap is the cut: at the
+centroid it adds one vertex of valence three, at the edges it would leave holes and folds behind.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from scanrender.scan.curvature import mean_curvature
+from scanrender.scan.lost import sample_surface
+from scanrender.scan.mend import (
+    SAMPLES,
+    Reference,
+    mended,
+    nearest_mm,
+    plain_surface,
+    surface_tree,
+    tidied,
+)
+from scanrender.scan.refit import noise_mm, refitted
+from scanrender.scan.surface import Surface
+from scanrender.scan.topology import face_areas
+
+Array = npt.NDArray[Any]
+
+STEPS = (3.0, 2.0, 1.4, 1.0)  # triangles after each step, in multiples of the target
+FINER = 0.7  # of the triangles stay in each step of the search below the budget
+LEAST = 12  # triangles at which that search ends: a box
+# The collapse threshold is an absolute squared length: this diagonal makes it that of a head in mm.
+DIAGONAL = 500.0
+# Detail bends by more than this (1/mm, mean curvature over DETAIL_MM): ears, lids, nostrils, lips.
+DETAIL_CURVATURE = 0.05
+DETAIL_MM = 2.0
+DETAIL_SHARE = 0.25  # of the area at most: where all is detail, nothing is
+
+
+def collapse_task(
+    arrays: dict[str, Any], params: dict[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """In the child. Parameters: target, error_mm, aggressiveness (first, others), detail.
+
+    Returns positions, faces; the report has error_mm (99 % of the distance, the worse direction),
+    bound (true where the error bound stopped it), ruined, damage, repaired, flipped, detail.
+    """
+    raw = plain_surface(arrays["positions"], arrays["faces"])
+    reference = Reference(raw)
+    first, others = params["aggressiveness"]
+    target, bound = int(params["target"]), float(params["error_mm"])
+    simple, detail = raw, None
+    for step, multiple in enumerate(STEPS):
+        count = int(multiple * target)
+        if len(simple.faces) <= count:
+            continue
+        if multiple == STEPS[-1] and params["detail"]:
+            simple, detail = weighed(simple)
+        simple = tidied(*collapsed(simple, count, others if step else first))
+    if simple is not raw:
+        simple = mended(simple.positions, simple.faces)
+    error = ErrorOf(reference)
+    reached = 0.0 if simple is raw else error(simple, bound)
+    bounded = reached <= bound
+    if bounded:
+        simple, reached = _fewer(simple, reached, bound, error, others)
+    else:
+        simple, reached = _without_noise(simple, reached, bound, raw, error)
+    report = {"error_mm": reached, "bound": bounded, "detail": detail}
+    simple, found = reference.validated(simple)
+    return {"positions": simple.positions, "faces": simple.faces}, {**report, **found}
+
+
+def _fewer(
+    simple: Surface, reached: float, bound: float, error: ErrorOf, aggressiveness: float
+) -> tuple[Surface, float]:
+    """The least triangles found that keep the bound, by steps down from what keeps it already."""
+    share = FINER
+    while len(simple.faces) > LEAST:
+        count = max(LEAST, int(share * len(simple.faces)))
+        fewer = mended(*collapsed(simple, count, aggressiveness))
+        within = np.inf
+        if 0 < len(fewer.faces) < len(simple.faces):
+            within = error(fewer, bound)
+        if within <= bound:
+            simple, reached = fewer, within
+        elif share > FINER:
+            break
+        else:
+            share = np.sqrt(FINER)  # once more, half as far
+    return simple, reached
+
+
+def _without_noise(
+    simple: Surface, reached: float, bound: float, raw: Surface, error: ErrorOf
+) -> tuple[Surface, float]:
+    """Refitted to the raw points where these scatter by more than the bound, if that is nearer."""
+    if noise_mm(raw.positions, raw.faces) <= bound:
+        return simple, reached
+    moved = refitted(simple.positions, simple.faces, raw.positions, surface_tree(simple))
+    nearer = replace(simple, positions=moved)
+    within = error(nearer, np.inf)
+    return (nearer, within) if within < reached else (simple, reached)
+
+
+def collapsed(
+    surface: Surface, target: int, aggressiveness: float, keep_border: bool = False
+) -> tuple[Array, Array]:
+    """One run of the library: positions (n, 3), faces (m, 3) as it leaves them; with `keep_border`
+    no edge with an end on the boundary collapses.
+
+    It raises when the target exceeds the input, and drops all attributes.
+    """
+    import fast_simplification
+
+    low = surface.positions.min(axis=0)
+    scale = DIAGONAL / max(float(np.linalg.norm(np.ptp(surface.positions, axis=0))), 1e-300)
+    positions, faces = fast_simplification.simplify(
+        np.ascontiguousarray((surface.positions - low) * scale, np.float64),
+        np.ascontiguousarray(surface.faces, np.int32),
+        target_count=min(target, len(surface.faces)),
+        agg=float(aggressiveness),
+        preserve_border=keep_border,
+    )
+    return np.asarray(positions, np.float64) / scale + low, np.asarray(faces, np.int64)
+
+
+def weighed(surface: Surface) -> tuple[Surface, dict[str, Any]]:
+    """The same shape, with three triangles for each one that is detail; and what share is."""
+    detail = detail_faces(surface.positions, surface.faces)
+    corners = surface.faces[detail]
+    centre = len(surface.positions) + np.arange(len(corners))
+    cut = [np.stack([corners[:, k], corners[:, (k + 1) % 3], centre], axis=1) for k in range(3)]
+    positions = np.concatenate([surface.positions, surface.positions[corners].mean(axis=1)])
+    faces = np.concatenate([surface.faces[~detail], *cut])
+    area = face_areas(surface.positions, surface.faces)
+    share = float(area[detail].sum() / max(float(area.sum()), 1e-300))
+    report = {"area_share": share, "triangle_share_before": float(detail.mean())}
+    return plain_surface(positions, faces), report
+
+
+def detail_faces(positions: Array, faces: Array) -> npt.NDArray[np.bool_]:
+    """(m,) the faces whose surround bends strongly, at most DETAIL_SHARE of the area."""
+    area = face_areas(positions, faces)
+    bend = np.abs(mean_curvature(positions, faces, DETAIL_MM))[faces].max(axis=1)
+    order = np.argsort(-bend, kind="stable")
+    allowed = np.empty(len(faces), bool)
+    allowed[order] = np.cumsum(area[order]) <= DETAIL_SHARE * area.sum()
+    return np.asarray((bend > DETAIL_CURVATURE) & allowed)
+
+
+class ErrorOf:
+    """The distance in mm within which 99 % of both surfaces lie from the other, whichever way is
+    the worse (Cignoni, Rocchini, Scopigno 1998), by seeded samples."""
+
+    def __init__(self, reference: Reference) -> None:
+        self._reference = reference
+        self._tree: Any = None
+
+    def __call__(self, simple: Surface, bound: float) -> float:
+        """The second way is left out once the first exceeds `bound`: it needs a tree of the raw
+        surface, which takes longer to make than all the rest."""
+        worst = float(np.percentile(self._reference.distances(simple), 99))
+        if worst <= bound:
+            raw = self._reference.raw
+            self._tree = self._tree or surface_tree(raw)
+            points = sample_surface(simple.positions, simple.faces, SAMPLES, 1)
+            worst = max(worst, float(np.percentile(nearest_mm(self._tree, raw, points), 99)))
+        return worst
