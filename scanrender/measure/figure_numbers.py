@@ -16,6 +16,7 @@ Array = npt.NDArray[Any]
 Mask = npt.NDArray[np.bool_]
 
 DETAIL_PX = 2.0  # Gaussian below which a structure counts as high frequency
+STEP_MM, STEP_PX = 5.0, 4  # a depth step between neighbouring pixels, and its surroundings
 BORDER_PX = 3  # a border's band, to either side
 
 
@@ -87,6 +88,27 @@ def border_contrast(frame: Frame, first: Frame, shown: str) -> dict[str, float]:
     }
 
 
+def mean(frame: Frame, first: Frame, shown: str) -> float:
+    """Mean of the shown buffer over the subject, all channels alike."""
+    inside = frame.alpha >= 1.0
+    values = frame.buffers[shown][inside]
+    return float(values.mean()) if values.size else 0.0
+
+
+def silhouette_leak(frame: Frame, first: Frame, shown: str) -> float:
+    """Light that diffusion moved within STEP_PX of depth steps of STEP_MM, against the undiffused
+    first panel's: the mean of |difference| of the diffuse light there, per unit of its mean."""
+    depth = frame.buffers["depth_mm"]
+    depth = depth[:, :, 0] if depth.ndim == 3 else depth
+    inside = frame.alpha >= 1.0
+    deep = ndimage.maximum_filter(np.where(inside, depth, -np.inf), 3)
+    shallow = ndimage.minimum_filter(np.where(inside, depth, np.inf), 3)
+    step = inside & (deep - shallow > STEP_MM)
+    band = ndimage.binary_dilation(step, iterations=STEP_PX) & inside
+    moved = np.abs(frame.buffers["diffuse"] - first.buffers["diffuse"])[band]
+    return float(moved.mean() / max(first.buffers["diffuse"][inside].mean(), 1e-12))
+
+
 def _near(mask: Mask) -> Mask:
     grown = ndimage.binary_dilation(mask, iterations=BORDER_PX)
     return np.asarray(grown & ~ndimage.binary_erosion(mask, iterations=BORDER_PX, border_value=1))
@@ -102,6 +124,8 @@ NUMBERS: dict[str, Callable[[Frame, Frame, str], Any]] = {
     "energy_ratio": energy,
     "high_frequency": high_frequency,
     "border_contrast": border_contrast,
+    "mean": mean,
+    "silhouette_leak": silhouette_leak,
 }
 # Buffers that a number reads besides the picture.
-NEEDS = {"border_contrast": ("diffuse", "skin")}
+NEEDS = {"border_contrast": ("diffuse", "skin"), "silhouette_leak": ("diffuse", "depth_mm")}

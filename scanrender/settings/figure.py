@@ -6,7 +6,15 @@ from typing import Any, Literal
 
 from scanrender.settings.base import Section, setting
 
-NumberName = Literal["black_pixels", "delta_e", "energy_ratio", "high_frequency", "border_contrast"]
+NumberName = Literal[
+    "black_pixels",
+    "border_contrast",
+    "delta_e",
+    "energy_ratio",
+    "high_frequency",
+    "mean",
+    "silhouette_leak",
+]
 
 
 class Panel(Section):
