@@ -105,6 +105,8 @@ def silhouette_leak(frame: Frame, first: Frame, shown: str) -> float:
     shallow = ndimage.minimum_filter(np.where(inside, depth, np.inf), 3)
     step = inside & (deep - shallow > STEP_MM)
     band = ndimage.binary_dilation(step, iterations=STEP_PX) & inside
+    if not band.any():
+        return 0.0
     moved = np.abs(frame.buffers["diffuse"] - first.buffers["diffuse"])[band]
     return float(moved.mean() / max(first.buffers["diffuse"][inside].mean(), 1e-12))
 
