@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
 
 from scanrender.settings.base import Section, setting
 
@@ -15,6 +17,9 @@ NumberName = Literal[
     "mean",
     "silhouette_leak",
 ]
+
+
+Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class Panel(Section):
@@ -35,7 +40,7 @@ class FigureSettings(Section):
     panels: tuple[Panel, ...] = setting((), "The pictures, in order.", unit="")
     columns: int = setting(3, "Panels in a row.", unit="1", ge=1, le=12)
     frame: int = setting(0, "The turntable's frame that is shown.", unit="1", ge=0, le=100_000)
-    crop: tuple[float, float, float, float] = setting(
+    crop: tuple[Share, Share, Share, Share] = setting(
         (0.0, 0.0, 1.0, 1.0),
         "Left, top, right, bottom of the part that is shown, as shares of the picture.",
         unit="1",
