@@ -40,6 +40,19 @@ def make_folder(folder: Path) -> Path:
     return folder
 
 
+def check_writable(folder: Path) -> None:
+    """Say that nothing can be written there before the work, not after it. Raises OutputError."""
+    make_folder(folder)
+    probe = folder / ".writing-probe"
+    try:
+        probe.write_bytes(b"")
+        probe.unlink(missing_ok=True)  # another job may have looked at the same moment
+    except OSError as error:
+        raise OutputError(
+            f"cannot write into {folder}: {error.strerror}", str(folder), "choose another --out"
+        ) from error
+
+
 @contextmanager
 def atomic_path(path: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside `path`; on success it becomes `path`, on failure it is gone."""

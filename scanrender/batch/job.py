@@ -12,8 +12,7 @@ from scanrender import __version__
 from scanrender.asset import Asset, check_replaceable, load_asset
 from scanrender.batch.prep_report import draw_prep_sheet
 from scanrender.batch.turntable import Progress, write_turntable
-from scanrender.errors import OutputError
-from scanrender.files import make_folder, write_text
+from scanrender.files import check_writable, write_text
 from scanrender.outputs.manifest import (
     MANIFEST_NAME,
     hash_file,
@@ -83,19 +82,6 @@ def run_job(
     write_manifest(folder, _manifest(pipeline, source, gl, result))
     result.files.append("manifest.json")
     return result
-
-
-def check_writable(folder: Path) -> None:
-    """Say that nothing can be written there before the work, not after it. Raises OutputError."""
-    make_folder(folder)
-    probe = folder / ".writing-probe"
-    try:
-        probe.write_bytes(b"")
-        probe.unlink(missing_ok=True)  # another job may have looked at the same moment
-    except OSError as error:
-        raise OutputError(
-            f"cannot write into {folder}: {error.strerror}", str(folder), "choose another --out"
-        ) from error
 
 
 def _prepare(

@@ -36,7 +36,8 @@ def command(
     from scanrender.settings.loading import load_pipeline
 
     settings = load_pipeline("demo", overrides)
-    from scanrender.batch.job import check_writable, run_job
+    from scanrender.batch.job import run_job
+    from scanrender.files import check_writable
     from scanrender.phantom import Damage, make_head, scan_head, write_ply
 
     check_writable(out)

@@ -42,8 +42,8 @@ def command(
     settings = load_pipeline(pipeline, overrides)
     options.existing(scan, "scan")
     from scanrender.asset import check_replaceable
-    from scanrender.batch.job import check_writable
     from scanrender.batch.prep_report import draw_prep_sheet
+    from scanrender.files import check_writable
     from scanrender.scan.prepare import prepare
 
     check_writable(out.parent)

@@ -107,7 +107,10 @@ def clean(raw: RawMesh, scan: ScanSettings, settings: CleanSettings) -> Cleaned:
     if settings.hole_mm > 0:
         surface, holes = fill_holes(surface, settings.hole_mm)
     steps.put("fill holes", surface, holes=holes)
-    steps.apply("drop what filling left over", lambda s: drop_degenerate(s).compact())
+    # Where nothing moved and nothing was filled, no face has become degenerate meanwhile.
+    if spikes or holes:
+        surface = drop_degenerate(steps.surface).compact()
+    steps.put("drop what filling left over", surface)
     cap = 0
     if settings.close_neck:
         surface, cap = close_neck(steps.surface)

@@ -32,7 +32,7 @@ from scanrender.scan.mend import (
 )
 from scanrender.scan.refit import noise_mm, refitted
 from scanrender.scan.surface import Surface
-from scanrender.scan.topology import face_areas
+from scanrender.scan.topology import extent, face_areas
 
 Array = npt.NDArray[Any]
 
@@ -123,8 +123,8 @@ def collapsed(
     """
     import fast_simplification
 
-    low = surface.positions.min(axis=0)
-    scale = DIAGONAL / max(float(np.linalg.norm(np.ptp(surface.positions, axis=0))), 1e-300)
+    low, high = extent(surface.positions)
+    scale = DIAGONAL / max(float(np.linalg.norm(high - low)), 1e-300)
     positions, faces = fast_simplification.simplify(
         np.ascontiguousarray((surface.positions - low) * scale, np.float64),
         np.ascontiguousarray(surface.faces, np.int32),

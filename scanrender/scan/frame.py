@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scanrender.errors import ConfigError
 from scanrender.scan.facing import find_facing, spread_samples
 from scanrender.scan.raw import RawMesh
-from scanrender.scan.topology import edges_of, used_vertices
+from scanrender.scan.topology import edges_of, extent, span, used_vertices
 from scanrender.settings.scan import ScanSettings
 
 MM_PER = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
@@ -76,9 +76,8 @@ def find_frame(
     forward = _turned(vertical, forward, past)
     rotation = np.stack([np.cross(vertical, forward), vertical, forward])
     used = positions[used_vertices(faces, len(positions))]
-    low, high = used.min(axis=0), used.max(axis=0)
-    extent = np.ptp(used @ rotation.T, axis=0)
-    units = _units(raw, extent, head, settings)
+    low, high = extent(used)
+    units = _units(raw, span(used @ rotation.T), head, settings)
     axes = {
         "up": up[0],
         "up_reason": up[1],
@@ -111,32 +110,32 @@ def _name(axis: int, sign: float) -> str:
 
 
 def _units(
-    raw: RawMesh, extent: npt.NDArray[np.float64], head: float | None, settings: ScanSettings
+    raw: RawMesh, size: npt.NDArray[np.float64], head: float | None, settings: ScanSettings
 ) -> dict[str, Any]:
-    """extent (3,): across, up and forward; head: neck to crown, where known; in scan units."""
+    """size (3,): across, up and forward; head: neck to crown, where known; in scan units."""
 
     def verdict(mm: float, reason: str, confidence: str) -> dict[str, Any]:
         return {"mm_per_unit": float(mm), "reason": reason, "confidence": confidence}
 
     if settings.height_mm is not None:
         return verdict(
-            settings.height_mm / float(extent[1]), "scan.height_mm states the height", "stated"
+            settings.height_mm / float(size[1]), "scan.height_mm states the height", "stated"
         )
     if settings.units != "auto":
         mm = MM_PER[settings.units] if isinstance(settings.units, str) else settings.units
         return verdict(mm, "scan.units states the unit", "stated")
-    largest = float(extent.max())
+    largest = float(size.max())
     if raw.mm_hint is not None and _fits(largest * raw.mm_hint) is not None:
         return verdict(raw.mm_hint, "the file format is in metres, and the size agrees", "high")
     confidence = "medium"
     for unit in ("mm", "m", "cm", "in"):
-        size = largest * MM_PER[unit]
-        kind = _fits(size)
+        size_mm = largest * MM_PER[unit]
+        kind = _fits(size_mm)
         # Inches are rare enough to need a second witness: the size of the head above its neck.
         if unit == "in" and (head is None or not HEAD_MM[0] <= head * 25.4 <= HEAD_MM[1]):
             continue
         if kind is not None:
-            reason = f"read as {unit}, the size is a {kind}'s: {size:.0f} mm"
+            reason = f"read as {unit}, the size is a {kind}'s: {size_mm:.0f} mm"
             if raw.mm_hint is not None:
                 reason = f"in metres, as the file format says, it is {largest:.4g} m; {reason}"
                 confidence = "low"
@@ -171,10 +170,10 @@ def _up_axis(
     cut = _cut_end(used, faces, positions)
     if cut is not None:
         return cut, "the surface is cut open at the opposite end, as a bust is", "high"
-    extent = np.ptp(used, axis=0)
-    if extent[2] > 1.25 * extent[1] and extent[2] > 1.1 * extent[0]:
+    size = span(used)
+    if size[2] > 1.25 * size[1] and size[2] > 1.1 * size[0]:
         return "+z", "a guess: the scan is tallest along z", "low"
-    if extent[1] >= 0.8 * extent.max():
+    if size[1] >= 0.8 * size.max():
         return "+y", "the usual axis, and the scan is tall along it", "medium"
     return "+y", "a guess: the usual axis", "low"
 
@@ -191,18 +190,19 @@ def _cut_end(
         return None
     ends = positions[open_pairs]
     length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
-    low, extent = used.min(axis=0), np.ptp(used, axis=0)
-    if length.sum() < 0.35 * extent.sum():  # a few holes are not a base
+    low, high = extent(used)
+    size = high - low
+    if length.sum() < 0.35 * size.sum():  # a few holes are not a base
         return None
-    place = (ends.mean(axis=1) - low) / np.maximum(extent, 1e-300)
+    place = (ends.mean(axis=1) - low) / np.maximum(size, 1e-300)
     below = [float(length[place[:, axis] < _BASE].sum()) for axis in range(3)]
     above = [float(length[place[:, axis] > 1.0 - _BASE].sum()) for axis in range(3)]
     share = np.array(below + above) / length.sum()
-    share[np.tile(extent < _FLAT * extent.max(), 2)] = 0.0  # a sheet has no ends across itself
+    share[np.tile(size < _FLAT * size.max(), 2)] = 0.0  # a sheet has no ends across itself
     best = int(share.argmax())
     # Eye sockets lie at one end too, but do not span it.
-    span = np.delete(np.ptp(place, axis=0), best % 3).min()
-    if share[best] < 0.8 or span < 0.4:
+    across = np.delete(span(place), best % 3).min()
+    if share[best] < 0.8 or across < 0.4:
         return None
     return _name(best % 3, 1.0 if best < 3 else -1.0)
 

@@ -34,13 +34,15 @@ class High:
 
 @dataclass(frozen=True)
 class Low:
-    """The prepared mesh twice: welded (positions, faces, normals), and split along seams (mesh)."""
+    """The prepared mesh twice: welded (positions, faces, normals), and split along seams (mesh);
+    cage (n,) mm at the welded vertices, for the projection, where it is measured already."""
 
     positions: Array
     faces: Array
     normals: Array
     unwrapped: Unwrapped
     mesh: Mesh
+    cage: Array | None = None
 
     def texel_mm(self, size: int) -> float:
         """Typical side of a texel on the surface, for a map of `size`."""

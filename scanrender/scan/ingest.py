@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from scanrender.errors import ScanError, UsageError
+from scanrender.errors import ScanError
+from scanrender.scan.header import check_header
 from scanrender.scan.memory import OUT_OF_MEMORY
 from scanrender.scan.pages import Page
 from scanrender.scan.raw import NO_PAGE, RawMesh
-from scanrender.scan.topology import used_vertices
+from scanrender.scan.topology import extent, span, used_vertices
 from scanrender.settings.scan import ScanSettings
 
-FORMATS = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
 # What readers raise for structures that make no sense; RecursionError: JSON nested without end.
 _STRAY = (
     ValueError,
@@ -29,7 +29,7 @@ _STRAY = (
     RecursionError,
 )
 _SAID = 120
-_UNSUPPORTED = "export it as OBJ, PLY, GLB, glTF, STL or OFF"
+LARGEST = 1e30  # coordinate
 
 
 def read_scan(path: Path | str, settings: ScanSettings | None = None) -> RawMesh:
@@ -61,39 +61,6 @@ def read_scan(path: Path | str, settings: ScanSettings | None = None) -> RawMesh
     return _validated(raw, path)
 
 
-def check_header(path: Path) -> None:
-    """Refuse early, before loading, what cannot be a scan."""
-    if not path.exists():
-        raise UsageError(f"no such scan: {path}", str(path))
-    if path.is_dir():
-        raise ScanError(f"{path} is a folder, not a scan file", str(path), "name the mesh file")
-    if not path.is_file():  # a pipe or a device would block, or never end
-        raise ScanError(f"{path} is not a regular file", str(path), "copy the scan to a file")
-    suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        kind = f"{suffix} files are" if suffix else "files without a suffix are"
-        raise ScanError(f"{kind} not supported", str(path), _UNSUPPORTED)
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(4096)
-    except OSError as error:
-        raise ScanError(f"cannot read {path.name}: {error.strerror}", str(path)) from error
-    if not head.strip():
-        raise ScanError(f"{path.name} is empty", str(path), "export it again")
-    magic = {".ply": b"ply", ".glb": b"glTF"}.get(suffix)
-    if magic and not head.lstrip().startswith(magic):
-        raise ScanError(
-            f"{path.name} does not begin like a {suffix[1:].upper()} file", str(path), _UNSUPPORTED
-        )
-    if head.startswith(b"version https://git-lfs"):
-        raise ScanError(f"{path.name} is a Git LFS pointer", str(path), "run: git lfs pull")
-
-
-def named(error: ScanError, path: Path) -> ScanError:
-    """The same error, saying which scan it is about."""
-    return error if error.where else ScanError(f"{path.name}: {error.what}", str(path), error.fix)
-
-
 def _reader(suffix: str) -> Callable[[Path], RawMesh]:
     if suffix == ".obj":
         from scanrender.scan.read_obj import read_obj
@@ -119,20 +86,19 @@ def _validated(raw: RawMesh, path: Path) -> RawMesh:
     if len(raw.positions) == 0 or len(raw.faces) == 0:
         what = "vertices" if len(raw.positions) == 0 else "faces (a point cloud?)"
         raise ScanError(f"{path.name} has no {what}", where, "mesh it first, then export it again")
-    in_range = np.asarray(((raw.faces >= 0) & (raw.faces < len(raw.positions))).all(axis=1))
-    if not in_range.all():
+    if raw.faces.min() < 0 or raw.faces.max() >= len(raw.positions):
+        in_range = np.asarray(((raw.faces >= 0) & (raw.faces < len(raw.positions))).all(axis=1))
         notes.append(f"{int((~in_range).sum())} faces named vertices that do not exist: dropped")
         raw = _take(raw, in_range)
-    finite = np.asarray(np.isfinite(raw.positions).all(axis=1))
-    # Beyond 1e30 float32 arithmetic overflows: as good as infinite.
-    finite &= np.abs(np.where(finite[:, None], raw.positions, 0.0)).max(axis=1) < 1e30
-    if not finite.all():
+    # Beyond 1e30 float32 arithmetic overflows: as good as infinite. Comparisons with NaN fail.
+    if not (raw.positions.min() > -LARGEST and raw.positions.max() < LARGEST):
+        finite = np.asarray((np.abs(raw.positions) < LARGEST).all(axis=1))
         notes.append(f"{int((~finite).sum())} vertices are not finite: their faces are dropped")
         raw = _take(raw, np.asarray(finite[raw.faces].all(axis=1)))
     if len(raw.faces) == 0:
         raise ScanError(f"{path.name} has no usable face", where, "export it again")
-    used = raw.positions[raw.faces.reshape(-1)]
-    if float(np.ptp(used, axis=0).max()) <= 0.0:
+    used = raw.positions[used_vertices(raw.faces, len(raw.positions))]
+    if float(span(used).max()) <= 0.0:
         raise ScanError(
             f"{path.name} has no size: all its vertices coincide", where, "export it again"
         )
@@ -153,7 +119,8 @@ def _without_strays(raw: RawMesh) -> RawMesh:
     if len(kept) == len(raw.positions):
         return raw
     used = raw.positions[kept]
-    inside = (raw.positions >= used.min(axis=0)) & (raw.positions <= used.max(axis=0))
+    low, high = extent(used)
+    inside = (raw.positions >= low) & (raw.positions <= high)
     if inside.all():
         return raw
     new_index = np.zeros(len(raw.positions), np.int64)
@@ -195,7 +162,7 @@ def _is_flat(page: Page) -> bool:
 
 def _says_nothing(colors: npt.NDArray[Any]) -> bool:
     """One grey for every vertex is an exporter's default, not a measurement."""
-    one = float(np.ptp(colors, axis=0).max()) < 1e-3
+    one = float(span(colors).max()) < 1e-3
     return one and float(np.ptp(colors.mean(axis=0))) < 0.02
 
 

@@ -11,7 +11,8 @@ from scanrender.errors import ScanError
 from scanrender.scan.clean import nothing_left
 from scanrender.scan.floaters import drop_floaters
 from scanrender.scan.frame import find_frame
-from scanrender.scan.ingest import named, read_scan
+from scanrender.scan.header import named
+from scanrender.scan.ingest import read_scan
 from scanrender.scan.memory import OUT_OF_MEMORY
 from scanrender.scan.orient import orient
 from scanrender.scan.raw import RawMesh

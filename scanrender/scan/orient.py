@@ -19,6 +19,8 @@ from scanrender.scan.topology import (
     face_centres,
     face_pairs,
     lengths,
+    span,
+    used_vertices,
 )
 
 
@@ -72,8 +74,9 @@ def _turn_outward(surface: Surface) -> tuple[Surface, int]:
     # A nearly flat sheet has hardly any flux: its file's orientation is the better evidence.
     inside_out = flux < -0.05 * reach
     # A single triangle has none at all: what is left is rounding.
-    span = float(np.ptp(surface.positions[surface.faces.reshape(-1)], axis=0).max())
-    inside_out &= reach > 1e-9 * span * total
+    used = used_vertices(surface.faces, len(surface.positions))
+    size = float(span(surface.positions[used]).max())
+    inside_out &= reach > 1e-9 * size * total
     flipped = inside_out[piece]
     if not flipped.any():
         return surface, 0

@@ -24,10 +24,10 @@ Array = npt.NDArray[Any]
 
 COARSE, FINE = 128, 320  # cells along the atlas: to search the scale, and for the result
 # A fine grid wastes less: it is tried at growing multiples of the scale found on the coarse one.
-FINE_FACTORS = (1.01, 1.03)  # side by side, in processes of their own
+FINE_FACTORS = (1.01, 1.022)  # side by side, in processes of their own
 SUBCELLS = 4  # charts are drawn this much finer than the grid, so that padding is not rounded up
 REACH = 1.0 / 60.0  # of the side; nearer than this is touching
-FIRST_USE, BISECTIONS = 0.66, 5
+FIRST_USE, COARSE_STEP, COARSE_TRIALS = 0.66, 1.03, 60
 MAX_CHARTS = 400  # beyond this the search takes too long, and shelves do no worse
 
 
@@ -83,22 +83,23 @@ def _smallest_rectangle(points: Array) -> float:
 
 
 def _largest(chart: Array, upright: Array, padding: float) -> Placed:
-    """The largest scale that fits: bisection on the coarse grid, then steps on the fine one."""
+    """The largest scale that fits: steps on the coarse grid, then finer ones on the fine one."""
     e1, e2 = upright[:, 1] - upright[:, 0], upright[:, 2] - upright[:, 0]
     area = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]).sum()
     extent = float(upright.max())
-    low, high = 0.0, min(np.sqrt(0.95 / area), 0.999 / extent)
-    scale = min(np.sqrt(FIRST_USE / area), high)
-    best: Placed | None = None
-    for step in range(BISECTIONS + 12):
-        found = _place(chart, upright, scale, padding, COARSE)
-        if found is not None:
-            best, low = found, scale
-        else:
-            high = scale
-        if step >= BISECTIONS and best is not None:
+    largest = min(np.sqrt(0.95 / area), 0.999 / extent)
+    scale = min(np.sqrt(FIRST_USE / area), largest)
+    best = _place(chart, upright, scale, padding, COARSE)
+    # Up by a step as long as it fits, or down until it does: two or three trials for most heads.
+    step = COARSE_STEP if best is not None else 1.0 / COARSE_STEP
+    for _ in range(COARSE_TRIALS):
+        scale *= step
+        if scale > largest:
             break
-        scale = 0.5 * (low + high) if low else 0.93 * scale
+        found = _place(chart, upright, scale, padding, COARSE)
+        best = found or best
+        if (found is None) == (step > 1.0):
+            break
     if best is None:
         raise ValueError("the charts do not fit into the atlas")
     finer = run([_finer(chart, upright, best.scale * factor, padding) for factor in FINE_FACTORS])

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ from scanrender.scan.meshlab import count_self_intersections
 from scanrender.scan.neck import close_neck
 from scanrender.scan.oven import Oven, bake_maps, shape_values
 from scanrender.scan.parallel import Aside
-from scanrender.scan.project import make_projector
+from scanrender.scan.project import make_projector, measured_cage
 from scanrender.scan.raw import RawMesh
 from scanrender.scan.report import atlas_report, color_error
 from scanrender.scan.simplify import simplify
@@ -156,14 +157,18 @@ def _shapes(
         )
         with journal.stage("raw surface"):
             high = make_high(surface, prep.bake)
-            high.target.make_tree()  # while the collapse still runs beside this
+            # Needed later, and time now: the collapse still runs beside this.
+            high.target.build()
+            high.target.make_tree()
+            _ = high.target.face_normals
         positions, faces = simple.result()
         with journal.stage("occlusion, thickness"):
             normals = vertex_normals(positions, faces)
             shape = shape_values(positions, faces, normals, prep.bake)
         with journal.stage("distance"):
             lost = surface_distance(high.target, positions, faces)
-        low = unwrapped.result()
+            cage = measured_cage(positions, faces, high.target)
+        low = replace(unwrapped.result(), cage=cage)
         lost["self_intersecting_faces"] = crossing.result()
     return high, low, shape, lost
 
@@ -257,7 +262,8 @@ def _baked(
 ) -> tuple[dict[str, Image], dict[str, Any]]:
     bake = prep.bake
     with journal.stage("project"):
-        oven = Oven(make_projector(low.mesh, high.target), low)
+        cage = None if low.cage is None else low.cage[low.unwrapped.source]
+        oven = Oven(make_projector(low.mesh, high.target, cage), low)
         oven.samples(bake.albedo_px)
     color = ColorSource(high.surface, raw.pages, bake.default_albedo)
     normals = NormalSource(high.surface, high.normals, raw.normal_pages)

@@ -11,7 +11,7 @@ from scanrender.asset import Asset, load_asset
 from scanrender.errors import ScanError
 from scanrender.files import atomic_folder, scratch_folder
 from scanrender.scan.child import run_worker
-from scanrender.scan.ingest import check_header, named
+from scanrender.scan.header import check_header, named
 from scanrender.settings.prep import PrepSettings
 from scanrender.settings.scan import ScanSettings
 

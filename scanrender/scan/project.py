@@ -18,12 +18,12 @@ from scanrender.asset import Mesh
 from scanrender.scan.parallel import Shape, fill_rows
 from scanrender.scan.rasterize import Texels, rasterize
 from scanrender.scan.rays import Hits, Target
-from scanrender.scan.topology import area_normals, face_centres, unit
+from scanrender.scan.topology import face_centres, unit
 
 Array = npt.NDArray[Any]
 
 CAGE_MM = (0.05, 6.0)  # smallest: float32 and flat patches; largest: never through a lip or an ear
-PIECE = 300_000  # texels at a time: temporary arrays stay near the caches, and cores stay busy
+PIECE = 100_000  # texels at a time: temporary arrays stay near the caches, and cores stay busy
 
 
 @dataclass(frozen=True)
@@ -94,13 +94,16 @@ class Projector:
         return both[:, :3], normal, both[:, 6]
 
 
-def make_projector(mesh: Mesh, target: Target) -> Projector:
-    """Measure the local error at vertices and face centres, and set the cage from it."""
-    positions = mesh.positions_mm.astype(np.float64)
-    at_vertex = target.nearest(positions).distance
-    at_face = target.nearest(face_centres(positions, mesh.faces)).distance
-    cage = at_vertex.copy()
-    np.maximum.at(cage, mesh.faces.reshape(-1), np.repeat(at_face, 3))
-    cage = np.clip(2.0 * cage + CAGE_MM[0], *CAGE_MM)
-    normals = unit(area_normals(target.positions, target.faces))
-    return Projector(mesh, target, cage.astype(np.float32), normals.astype(np.float32))
+def make_projector(mesh: Mesh, target: Target, cage: Array | None = None) -> Projector:
+    """A projector with the given cage (n,) mm, or one measured here."""
+    if cage is None:
+        cage = measured_cage(mesh.positions_mm.astype(np.float64), mesh.faces, target)
+    return Projector(mesh, target, cage.astype(np.float32), target.face_normals)
+
+
+def measured_cage(positions: Array, faces: Array, target: Target) -> Array:
+    """(n,) mm from the local error at vertices and face centres."""
+    cage = target.nearest(positions).distance.copy()
+    at_face = target.nearest(face_centres(positions, faces)).distance
+    np.maximum.at(cage, faces.reshape(-1), np.repeat(at_face, 3))
+    return np.clip(2.0 * cage + CAGE_MM[0], *CAGE_MM)

@@ -6,10 +6,13 @@ Wald, Woop, Benthin, Johnson, Ernst: Embree, ACM TOG 33(4), 2014.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from scanrender.scan.topology import area_normals, unit
 
 Array = npt.NDArray[Any]
 CHUNK = 1_000_000
@@ -73,6 +76,16 @@ class Target:
             ways = np.ascontiguousarray(direction[cut], np.float32)
             result[cut] = self._scene.run(rays, ways, reaches) >= 0
         return result
+
+    @cached_property
+    def face_normals(self) -> npt.NDArray[np.float32]:
+        """(m, 3) unit; zero for a face without area."""
+        return unit(area_normals(self.positions, self.faces)).astype(np.float32)
+
+    def build(self) -> None:
+        """Embree builds its hierarchy at the first ray: here, once, and not in each copy of this
+        process that would cast it."""
+        self.occluded(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), 1.0)
 
     def make_tree(self) -> None:
         """What `nearest` needs, ahead of its first call."""

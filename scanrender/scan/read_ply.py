@@ -197,8 +197,8 @@ def _colors(
 ) -> npt.NDArray[np.float32] | None:
     for names in _COLOR_NAMES:
         if all(name in table for name in names):
-            stored = np.stack([np.asarray(table[name], np.float64) for name in names], axis=1)
-            if white == 65535.0 and stored.max(initial=0.0) <= 255.0:  # bytes in wider numbers
+            stored = np.stack([np.asarray(table[name]) for name in names], axis=1)
+            if white == 65535.0 and stored.max(initial=0) <= 255:  # bytes in wider numbers
                 white = 255.0
             return colors_from_stored(stored, white, notes)
     return None

@@ -17,7 +17,7 @@ from scipy.sparse.linalg import cg
 
 from scanrender.scan.curvature import noise_level
 from scanrender.scan.rays import barycentric
-from scanrender.scan.topology import edges_of, vertex_normals
+from scanrender.scan.topology import edges_of, span, vertex_normals
 
 Array = npt.NDArray[Any]
 
@@ -32,7 +32,7 @@ def noise_mm(positions: Array, faces: Array) -> float:
     """`curvature.noise_level` in slices across the longest extent, for a surface of many faces."""
     share = BAND_FACES / max(len(faces), 1)
     if share < 1.0:
-        axis = int(np.argmax(np.ptp(positions, axis=0)))
+        axis = int(np.argmax(span(positions)))
         along = positions[:, axis] - positions[:, axis].min()
         inside = (along * (BANDS / max(float(along.max()), 1e-300))) % 1.0 < share
         faces = faces[inside[faces].all(axis=1)]

@@ -18,6 +18,9 @@ def colors_from_stored(
     full: what white is stored as, or None where the file does not say: then 1, 255 or 65535, the
     least that holds them all. Vertices without a colour take the mean one.
     """
+    if stored.dtype == np.uint8 and full == 255.0:
+        table = linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)
+        return np.asarray(table[stored])
     stored = np.asarray(stored, np.float64)
     known = np.isfinite(stored).all(axis=1)
     if not known.any():

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.scan.surface import Surface
-from scanrender.scan.topology import face_areas, sorted_order
+from scanrender.scan.topology import extent, face_areas, sorted_order, span
 
 Array = npt.NDArray[Any]
 
@@ -19,8 +19,8 @@ GRID = 1e-7
 
 def weld(surface: Surface) -> Surface:
     """One vertex per place: exporters split them at UV and normal seams. Colours are averaged."""
-    low = surface.positions.min(axis=0)
-    step = max(float(np.ptp(surface.positions, axis=0).max()) * GRID, 1e-300)
+    low, high = extent(surface.positions)
+    step = max(float((high - low).max()) * GRID, 1e-300)
     cell = np.round((surface.positions - low) / step).astype(np.int64)
     # One 64-bit key per cell would be too short (21 bits an axis), hence the sort by columns.
     order = sorted_order(cell[:, 2])
@@ -51,7 +51,7 @@ def drop_degenerate(surface: Surface) -> Surface:
     """Without faces that name a vertex twice or have no area."""
     f = surface.faces
     distinct = (f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])
-    size = float(np.ptp(surface.positions, axis=0).max())
+    size = float(span(surface.positions).max())
     area = face_areas(surface.positions, f)
     return surface.keep_faces(distinct & (area > 1e-14 * size * size))
 

@@ -10,10 +10,10 @@ from render.synthetic import pipeline, sphere
 
 from scanrender.asset import save_asset
 from scanrender.batch import run as batch_run
-from scanrender.batch.job import Result, check_writable, run_job
+from scanrender.batch.job import Result, run_job
 from scanrender.batch.run import run_batch
 from scanrender.errors import BatchError, OutputError, ScanError, StageError, UsageError
-from scanrender.files import TEMPORARY_PREFIX
+from scanrender.files import TEMPORARY_PREFIX, check_writable
 from scanrender.settings.pipeline import Pipeline
 
 TINY = pipeline(

@@ -13,7 +13,8 @@ from scan_shapes import SCANS, cube, sphere, write_obj, write_ply
 
 from scanrender import images
 from scanrender.errors import ScanError, ScanrenderError, UsageError
-from scanrender.scan.ingest import FORMATS, read_scan
+from scanrender.scan.header import FORMATS
+from scanrender.scan.ingest import read_scan
 from scanrender.scan.raw import NO_PAGE
 from scanrender.scan.triangulate import fan_corners, polygon_corners, strip_faces
 
