@@ -33,7 +33,8 @@ def command(
 ) -> None:
     """Run PIPELINE (a file, or the name of a shipped one) on each SCAN.
 
-    One scan's results go straight into --out, several into a folder each. A figure's pipeline
+    One scan's results go straight into --out, several into a folder each. A SCAN may be the asset
+    folder of an earlier preparation, which is then not done again. A figure's pipeline
     (figures/fig1 …) without a scan shows our own procedural head.
     """
     from scanrender.cli.progress import progress
@@ -52,9 +53,11 @@ def command(
         options.existing(scan, "scan")
     chosen = options.frame_range(frames, settings.turntable.frames)
     if dry_run:
+        from scanrender.batch.job import stages_for
+
         count = len(chosen) if chosen is not None else settings.turntable.frames
         for scan in scans:
-            click.echo(f"{scan}: {' + '.join(settings.stages)}, {count} frames -> {out}")
+            click.echo(f"{scan}: {' + '.join(stages_for(scan, settings))}, {count} frames -> {out}")
         return
     from scanrender.batch.run import run_batch
 
@@ -68,7 +71,7 @@ def command(
 
 def _own_head(out: Path) -> Path:
     """The demo's raw head, made once."""
-    from scanrender.batch.job import check_writable
+    from scanrender.files import check_writable
     from scanrender.phantom import Damage, make_head, scan_head, write_ply
 
     scan = out / "raw_scan" / "head.ply"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,17 +18,21 @@ Mask = npt.NDArray[np.bool_]
 DETAIL_PX = 2.0  # Gaussian below which a structure counts as high frequency
 STEP_MM, STEP_PX = 5.0, 4  # a depth step between neighbouring pixels, and its surroundings
 BORDER_PX = 3  # a border's band, to either side
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
-def measure(
-    frames: Sequence[Frame], shown: Sequence[str], numbers: Sequence[str]
-) -> list[dict[str, Any]]:
-    """One dict of numbers a panel; `shown` names the buffer that it shows."""
-    first = frames[0]
-    return [
-        {name: NUMBERS[name](frame, first, show) for name in numbers}
-        for frame, show in zip(frames, shown, strict=True)
-    ]
+def measure(frame: Frame, first: Frame, shown: str, numbers: Sequence[str]) -> dict[str, Any]:
+    """The numbers of one panel that shows the buffer `shown`.
+
+    Panels of a buffer get only what is measured on it: not the picture's, which they do not show.
+    """
+    fits = OF_BUFFERS if shown != "display" else NUMBERS.keys() - {"mean"}
+    return {name: NUMBERS[name](frame, first, shown) for name in numbers if name in fits}
+
+
+def in_words(values: Mapping[str, Any]) -> str:
+    """The numbers as one short line; what the first panel is against itself is left out."""
+    return "  ·  ".join(filter(None, (WORDS[name](value) for name, value in values.items())))
 
 
 def black_pixels(frame: Frame, first: Frame, shown: str) -> int:
@@ -75,7 +79,7 @@ def high_frequency(frame: Frame, first: Frame, shown: str) -> float:
 def border_contrast(frame: Frame, first: Frame, shown: str) -> dict[str, float]:
     """Mean gradient of the diffuse light's luminance at the skin map's borders and away from them,
     1/px: what a limit keeps sharp, and what it must leave soft."""
-    luminance = frame.buffers["diffuse"] @ np.array([0.2126, 0.7152, 0.0722])
+    luminance = frame.buffers["diffuse"] @ LUMINANCE
     gradient = np.hypot(*np.gradient(luminance))
     skin = frame.buffers["skin"]
     skin = skin[:, :, 0] if skin.ndim == 3 else skin
@@ -111,6 +115,16 @@ def silhouette_leak(frame: Frame, first: Frame, shown: str) -> float:
     return float(moved.mean() / max(first.buffers["diffuse"][inside].mean(), 1e-12))
 
 
+def transmitted(frame: Frame, first: Frame, shown: str) -> float:
+    """Light that came through thin skin, as a share of all the light of the picture."""
+    if "transmission" not in frame.buffers:
+        return 0.0
+    inside = frame.alpha >= 1.0
+    light = float((frame.buffers["beauty"][inside] @ LUMINANCE).sum())
+    through = float((frame.buffers["transmission"][inside] @ LUMINANCE).sum())
+    return through / max(light, 1e-12)
+
+
 def _near(mask: Mask) -> Mask:
     grown = ndimage.binary_dilation(mask, iterations=BORDER_PX)
     return np.asarray(grown & ~ndimage.binary_erosion(mask, iterations=BORDER_PX, border_value=1))
@@ -128,6 +142,35 @@ NUMBERS: dict[str, Callable[[Frame, Frame, str], Any]] = {
     "border_contrast": border_contrast,
     "mean": mean,
     "silhouette_leak": silhouette_leak,
+    "transmitted": transmitted,
 }
+# Those that are measured on whatever buffer is shown.
+OF_BUFFERS = {"high_frequency", "mean"}
 # Buffers that a number reads besides the picture.
-NEEDS = {"border_contrast": ("diffuse", "skin"), "silhouette_leak": ("diffuse", "depth_mm")}
+NEEDS = {
+    "border_contrast": ("diffuse", "skin"),
+    "silhouette_leak": ("diffuse", "depth_mm"),
+    "transmitted": ("transmission",),
+}
+
+
+def _energy_in_words(value: Sequence[float]) -> str:
+    if all(share == 1.0 for share in value):
+        return ""
+    return "energy " + " / ".join(f"{share:.3f}" for share in value)
+
+
+WORDS: dict[str, Callable[[Any], str]] = {
+    "black_pixels": lambda value: f"{value} black pixels",
+    "delta_e": lambda value: (
+        f"dE2000 {value['mean']:.2f}, 95 % {value['p95']:.2f}" if value["max"] > 0.0 else ""
+    ),
+    "energy_ratio": _energy_in_words,
+    "high_frequency": lambda value: f"detail {value:.3g}",
+    "border_contrast": lambda value: (
+        f"borders {value['at_borders']:.4f}, elsewhere {value['elsewhere']:.4f}"
+    ),
+    "mean": lambda value: f"mean {value:.3g}",
+    "silhouette_leak": lambda value: f"leak {100.0 * value:.2f} %",
+    "transmitted": lambda value: f"through skin {100.0 * value:.2f} %",
+}

@@ -49,6 +49,11 @@ class Renderer:
         self.camera = self._camera()
         self.guard_px = self._guard_px()
 
+    def show_window(self, shares: tuple[float, float, float, float]) -> None:
+        """From now on render only (left, top, right, bottom) of the picture, as shares of it."""
+        self.camera = self._camera().window(shares)
+        self.guard_px = self._guard_px()
+
     @property
     def buffer_names(self) -> list[str]:
         """Every buffer that this scene can dump, in the catalogue's order."""

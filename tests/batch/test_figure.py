@@ -14,7 +14,7 @@ from scanrender.batch.job import run_job
 from scanrender.buffers import Frame
 from scanrender.errors import ConfigError
 from scanrender.images import read_image
-from scanrender.measure.figure_numbers import NEEDS, NUMBERS, measure
+from scanrender.measure.figure_numbers import NEEDS, NUMBERS, in_words, measure
 from scanrender.resources import shipped_pipelines
 from scanrender.settings.figure import FigureSettings
 from scanrender.settings.loading import load_pipeline, panel_pipelines
@@ -70,6 +70,8 @@ def test_a_figure_is_a_picture_and_its_numbers(tmp_path: Path):
         plain={"set": {"diffusion.method": "none"}},
         soft={},
         guide={"show": "depth_mm"},
+        apart={"difference": 8},
+        eighth={"crop": [0.25, 0.25, 0.75, 0.5]},
     )
     result = run_job(asset, pipeline, tmp_path / "out", lambda stage, fraction: None)
     assert {"figure.png", "figure.json"} <= set(result.files)
@@ -77,14 +79,17 @@ def test_a_figure_is_a_picture_and_its_numbers(tmp_path: Path):
     picture = read_image(tmp_path / "out" / "figure.png")
     assert picture.std() > 0.05
     panels = json.loads((tmp_path / "out" / "figure.json").read_text())["panels"]
-    assert [panel["label"] for panel in panels] == ["plain", "soft", "guide"]
-    plain, soft, guide = panels
+    assert [panel["label"] for panel in panels] == ["plain", "soft", "guide", "apart", "eighth"]
+    plain, soft, guide, apart, eighth = panels
     assert plain["delta_e"]["max"] == 0.0
     assert soft["delta_e"]["mean"] > 0.05
     assert soft["high_frequency"] < plain["high_frequency"]
     assert soft["energy_ratio"] == pytest.approx([1.0] * 3, abs=0.1)
     assert guide["mean"] > 20.0  # mm
-    assert all(panel["black_pixels"] >= 0 for panel in panels)
+    assert all(panel["black_pixels"] >= 0 for panel in (plain, soft, eighth))
+    assert set(guide) & set(NUMBERS) == {"mean", "high_frequency"}  # not of a picture unseen
+    assert apart["delta_e"] == soft["delta_e"]
+    assert 0.0 < eighth["delta_e"]["mean"] != soft["delta_e"]["mean"]  # of what it shows
 
 
 def frame(**buffers: np.ndarray) -> Frame:
@@ -136,4 +141,44 @@ def test_every_number_works_on_what_it_says_it_needs():
         if "depth_mm" in buffers:
             buffers["depth_mm"] = np.ones(shape, np.float32)
         one = frame(**buffers)
-        assert name in measure([one, one], ["display", "display"], [name])[1]
+        shown = "depth_mm" if name == "mean" else "display"
+        one.buffers.setdefault(shown, np.ones(shape, np.float32))  # type: ignore[attr-defined]
+        values = measure(one, one, shown, [name])
+        assert name in values
+        assert isinstance(in_words(values), str)
+
+
+def test_numbers_are_said_in_a_line():
+    values = {
+        "black_pixels": 0,
+        "delta_e": {"mean": 0.204, "p95": 1.5, "max": 9.0},
+        "energy_ratio": [0.9988, 1.0, 1.0],
+        "silhouette_leak": 0.0172,
+        "transmitted": 0.01,
+    }
+    line = "0 black pixels  ·  dE2000 0.20, 95 % 1.50  ·  energy 0.999 / 1.000 / 1.000  ·  "
+    assert in_words(values) == line + "leak 1.72 %  ·  through skin 1.00 %"
+    same = {"delta_e": {"mean": 0.0, "p95": 0.0, "max": 0.0}, "energy_ratio": [1.0, 1.0, 1.0]}
+    assert in_words(same) == ""
+
+
+def test_light_through_skin_is_a_share_of_the_picture():
+    light = np.full((16, 16, 3), 0.5, np.float32)
+    through = np.zeros_like(light)
+    through[:, :4] = 0.1
+    shown = frame(beauty=light, transmission=through)
+    assert NUMBERS["transmitted"](shown, shown, "display") == pytest.approx(0.05)
+    assert NUMBERS["transmitted"](frame(beauty=light), shown, "display") == 0.0
+
+
+@pytest.mark.parametrize(
+    ("panel", "complaint"),
+    [
+        ({"crop": [0.5, 0.0, 0.4, 1.0]}, "left < right"),
+        ({"range": [1.0, 1.0]}, "smaller"),
+        ({"difference": 4, "show": "lab"}, "display"),
+    ],
+)
+def test_panels_that_make_no_sense_are_refused(panel: dict[str, object], complaint: str):
+    with pytest.raises(ValueError, match=complaint):
+        figure(one=panel)

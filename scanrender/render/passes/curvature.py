@@ -1,8 +1,9 @@
 """curvature: curvature_raw, or the asset's map, smoothed on the surface, rows then columns.
 
-Two Gaussians for one: a narrow one with a tap on every pixel, then a wide one with taps as far apart
-as the narrow one allows. On noise that is within 1.5 % of dense taps from 0.5 to 60 px, and its cost
-grows with the root of the radius: 36 taps a direction at 9 px (dense: 55), 80 at 60 px (dense: 361).
+Two Gaussians for one: a narrow one with a tap on every pixel, then a wide one with taps as far
+apart as the narrow one allows. On noise that is within 1.5 % of a tap on every pixel from 0.5 to
+60 px, and costs the root of the radius: 36 taps a direction at 9 px (instead of 55), 80 at 60 px
+(instead of 361). Decision 15.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ import moderngl
 from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
 from scanrender.render.scene import Scene, Shot
-
 
 STEPS = (("FINE", (1, 0)), ("FINE", (0, 1)), ("COARSE", (1, 0)), ("COARSE", (0, 1)))
 
@@ -39,9 +39,7 @@ def _sigma_mm(scene: Scene) -> float:
     return math.sqrt(max(curvature.smooth_mm**2 - done**2, 0.0))
 
 
-def _step(
-    scene: Scene, source: str, written: str, step: str, direction: tuple[int, int]
-) -> Pass:
+def _step(scene: Scene, source: str, written: str, step: str, direction: tuple[int, int]) -> Pass:
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
