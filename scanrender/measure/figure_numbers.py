@@ -16,8 +16,10 @@ Array = npt.NDArray[Any]
 Mask = npt.NDArray[np.bool_]
 
 DETAIL_PX = 2.0  # Gaussian below which a structure counts as high frequency
-STEP_MM, STEP_PX = 5.0, 4  # a depth step between neighbouring pixels, and its surroundings
+STEP_MM, STEP_BAND_MM = 5.0, 1.5  # a depth step between neighbouring pixels, its surroundings
+STEP_BAND_PX = 4  # where the picture's scale is not known
 BORDER_PX = 3  # a border's band, to either side
+HARD_SPACE = "\N{NO-BREAK SPACE}"
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -31,8 +33,10 @@ def measure(frame: Frame, first: Frame, shown: str, numbers: Sequence[str]) -> d
 
 
 def in_words(values: Mapping[str, Any]) -> str:
-    """The numbers as one short line; what the first panel is against itself is left out."""
-    return "  ·  ".join(filter(None, (WORDS[name](value) for name, value in values.items())))
+    """The numbers in a few words, which break between them only; what the first panel is against
+    itself is left out."""
+    found = filter(None, (WORDS[name](value) for name, value in values.items()))
+    return f"{HARD_SPACE}· ".join(words.replace(" ", HARD_SPACE) for words in found)
 
 
 def black_pixels(frame: Frame, first: Frame, shown: str) -> int:
@@ -100,15 +104,18 @@ def mean(frame: Frame, first: Frame, shown: str) -> float:
 
 
 def silhouette_leak(frame: Frame, first: Frame, shown: str) -> float:
-    """Light that diffusion moved within STEP_PX of depth steps of STEP_MM, against the undiffused
-    first panel's: the mean of |difference| of the diffuse light there, per unit of its mean."""
+    """Light that diffusion moved within STEP_BAND_MM of depth steps of STEP_MM, against the
+    undiffused first panel's: the mean of |difference| of the diffuse light there, per unit of its
+    mean."""
     depth = frame.buffers["depth_mm"]
     depth = depth[:, :, 0] if depth.ndim == 3 else depth
     inside = frame.alpha >= 1.0
     deep = ndimage.maximum_filter(np.where(inside, depth, -np.inf), 3)
     shallow = ndimage.minimum_filter(np.where(inside, depth, np.inf), 3)
     step = inside & (deep - shallow > STEP_MM)
-    band = ndimage.binary_dilation(step, iterations=STEP_PX) & inside
+    scale = frame.info.get("px_per_mm")
+    reach = max(1, round(STEP_BAND_MM * scale)) if scale else STEP_BAND_PX
+    band = (ndimage.distance_transform_edt(~step) <= reach) & inside if step.any() else step
     if not band.any():
         return 0.0
     moved = np.abs(frame.buffers["diffuse"] - first.buffers["diffuse"])[band]
@@ -168,7 +175,9 @@ WORDS: dict[str, Callable[[Any], str]] = {
     "energy_ratio": _energy_in_words,
     "high_frequency": lambda value: f"detail {value:.3g}",
     "border_contrast": lambda value: (
-        f"borders {value['at_borders']:.4f}, elsewhere {value['elsewhere']:.4f}"
+        f"gradient {value['at_borders']:.4f} at borders, {value['elsewhere']:.4f} elsewhere"
+        if value["at_borders"] > 0.0
+        else ""
     ),
     "mean": lambda value: f"mean {value:.3g}",
     "silhouette_leak": lambda value: f"leak {100.0 * value:.2f} %",

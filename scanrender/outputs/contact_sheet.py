@@ -24,13 +24,14 @@ RULE = (52, 54, 58)
 INK = (236, 236, 234)
 LABEL = (186, 188, 192)
 FADED = (128, 130, 135)
+SMALL, LINE = 0.9, 1.25  # a note's letters and lines, in those of the label
 
 
 @dataclass(frozen=True)
 class Tile:
     """One picture of the sheet: `pixels` (h, w, 3), display-encoded, float in [0, 1] or uint8.
 
-    `note` is a smaller line under the label.
+    `note` stands under the label in smaller letters.
     """
 
     label: str
@@ -125,7 +126,8 @@ def _layout(tiles: Sequence[Tile], columns: int) -> _Grid:
         max(height for _, height in sizes[start : start + columns])
         for start in range(0, len(tiles), columns)
     )
-    words = round(body * (4.0 if any(tile.note for tile in tiles) else 2.6))
+    lines = max(len(wrapped(tile.note, round(body * SMALL), cell_width)) for tile in tiles)
+    words = round(body * (2.6 + LINE * lines))
     return _Grid(width, columns, margin, gap, cell_width, rows, words, body)
 
 
@@ -147,6 +149,7 @@ def _place(sheet: Image.Image, tile: Tile, at: tuple[int, int], grid: _Grid) -> 
     sheet.paste(picture, (left, top))
     below = top + size[1] + round(grid.body * 0.6)
     write(sheet, (left, below), elided(tile.label, grid.body, grid.cell), LABEL, grid.body)
-    small = round(grid.body * 0.9)
-    words = elided(tile.note, small, grid.cell)
-    write(sheet, (left, below + round(grid.body * 1.45)), words, FADED, small)
+    small = round(grid.body * SMALL)
+    for line, words in enumerate(wrapped(tile.note, small, grid.cell)):
+        at = (left, below + round(grid.body * (1.45 + LINE * line)))
+        write(sheet, at, elided(words, small, grid.cell), FADED, small)

@@ -194,6 +194,7 @@ class Renderer:
             "subject_deg": view.subject_deg,
             "camera_deg": view.camera_deg,
             "camera_distance_mm": round(self.camera.distance_mm, 3),
+            "px_per_mm": round(self.camera.px_per_mm(self.camera.distance_mm), 6),
             "guard_px": self.guard_px,
         }
 
