@@ -20,6 +20,7 @@ NumberName = Literal[
 ]
 
 Share = Annotated[float, Field(ge=0, le=1)]
+Value = Annotated[float, Field(ge=-1e9, le=1e9)]
 Window = tuple[Share, Share, Share, Share]
 
 
@@ -36,8 +37,8 @@ class Panel(Section):
         "same one share its range.",
         unit="",
     )
-    range: tuple[float, float] | None = setting(
-        None, "Range of the false colour instead of the shared one, in the buffer's unit.", unit=""
+    range: tuple[Value, Value] | None = setting(
+        None, "Range of the false colour instead of the shared one.", unit="the buffer's"
     )
     difference: float = setting(
         0.0,
