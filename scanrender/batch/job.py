@@ -138,7 +138,7 @@ def _render(
         return _gl(device(), pipeline)
     renderer = Renderer(device(), asset, pipeline)
     result.stages["upload"] = time.perf_counter() - started
-    written = write_turntable(renderer, folder, result.name, progress, frames)
+    written = write_turntable(renderer, folder, _subject(asset, result.name), progress, frames)
     result.files += written.files
     result.stages.update(written.seconds)
     result.decisions += [f"{d.what}: {d.reason}" for d in renderer.decisions]
@@ -146,7 +146,7 @@ def _render(
 
 
 def _subject(asset: Asset, name: str) -> str:
-    """What a figure shows: the scan, also where the job is given its asset's folder."""
+    """The scan's name, also where the job is given its asset's folder."""
     return Path(str(asset.info.get("source", {}).get("file", ""))).stem or name
 
 
