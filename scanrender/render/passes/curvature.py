@@ -1,8 +1,8 @@
 """curvature: curvature_raw, or the asset's map, smoothed on the surface, rows then columns.
 
 Two Gaussians for one: a narrow one with a tap on every pixel, then a wide one with taps as far
-apart as the narrow one allows. On noise that is within 1.5 % of a tap on every pixel from 0.5 to
-60 px, and costs the root of the radius: 36 taps a direction at 9 px (instead of 55), 80 at 60 px
+apart as the narrow one allows. On noise that is within 1.6 % of a tap on every pixel from 0.5 to
+60 px, and costs the root of the radius: 50 taps a direction at 9 px (instead of 55), 116 at 60 px
 (instead of 361). Decision 15.
 """
 

@@ -2,9 +2,9 @@
 // curvature: one step of the smoothing, source -> curvature (R32F, 1/mm).
 // Cross bilateral Gaussian of `sigma_mm` on the surface: a tap across a depth step does not count.
 // FINE takes a tap on every pixel of a narrow Gaussian. COARSE takes the rest of the variance with
-// taps a stride apart, which may skip pixels only because FINE has left nothing that fine: with a
-// stride of STRIDE sigmas an alias keeps exp(-2 (pi / STRIDE)^2) = 1.5e-4 of its height. Taps further
-// apart than the noise is coarse made a grid (decision 15).
+// taps a stride apart, which may skip pixels only because FINE has left nothing that fine: taps
+// further apart than the noise is coarse made a grid (decision 15). A stride of 1.5 sigmas would do on
+// an open surface, but where depth steps cut the taps of a hollow short, it left stripes.
 // Check alone: nose tip and lips positive, sockets negative, smooth; no grid at any `sigma_mm`.
 #include "screen.glsl"
 uniform sampler2D source;
@@ -14,10 +14,10 @@ uniform float sigma_mm;
 
 layout(location = 0) out float smoothed;
 
-const float STRIDE = 1.5;     // of the coarse taps, in sigmas of the fine Gaussian
-const float DENSE_PX = 3.0;   // narrower than this, the fine step does it all
+const float STRIDE = 0.75;    // of the coarse taps, in sigmas of the fine Gaussian
+const float DENSE_PX = 8.0;   // up to here the fine step does it all with fewer taps than two
 const float REACH = 3.0;      // sigmas
-const int MAX_TAPS = 64;      // to each side; sigmas beyond 680 px lose their tails
+const int MAX_TAPS = 64;      // to each side; sigmas beyond 340 px lose their tails
 
 // Sigmas in px of the fine and the coarse step: variances add, and sqrt balances their taps.
 vec2 steps_px(float sigma_px) {
