@@ -94,6 +94,11 @@ class Asset:
     lods: Sequence[Mesh] = ()
 
 
+def is_asset(folder: Path | str) -> bool:
+    """Whether this is a prepared scan's folder and not a raw scan."""
+    return (Path(folder) / "asset.json").is_file()
+
+
 def check_replaceable(folder: Path | str) -> None:
     """An asset replaces its whole folder, so only one that is free, empty, or an asset may be it.
 

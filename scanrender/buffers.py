@@ -111,7 +111,7 @@ _SPECS = (
           "Skin area that a pixel shows, relative to a facing pixel at the working distance.",
           "1 in the middle of the face, rising smoothly toward silhouettes.", (0.0, 4.0)),
     _spec("edge_guide", "scalar", "screen", "1, or m² for halo: cbf",
-          "What the cross bilateral filters compare: grey albedo × cos φᵢ / cos φⱼ.",
+          "What the cross bilateral filters compare: grey albedo x cosine of the ray to the view axis / cosine of the surface to the ray.",
           "The grey albedo in the middle of the face, bright along silhouettes; the same at any distance unless halo is cbf."),
     _spec("lab", "vector", "CIE Lab, D65", "L, a, b",
           "Colour of the albedo that limits scattering, smoothed on the surface with its edges kept.",

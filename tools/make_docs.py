@@ -72,7 +72,7 @@ def _section(name: str, node: Schema, schema: Schema, level: int) -> Iterator[st
     for key, property_ in inner.items():
         yield from _section(f"{name}.{key}", property_, schema, level + 1)
     for key, property_ in fields.items():
-        for option in property_.get("anyOf", ()):
+        for option in property_.get("anyOf", (property_,)):
             if "$ref" in option.get("items", ()):
                 yield from _section(f"{name}.{key}, each item", option["items"], schema, level + 1)
 

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from scanrender import __version__
-from scanrender.asset import Asset, check_replaceable, load_asset
+from scanrender.asset import Asset, check_replaceable, is_asset, load_asset
 from scanrender.batch.prep_report import draw_prep_sheet
 from scanrender.batch.turntable import Progress, write_turntable
+from scanrender.errors import UsageError
 from scanrender.files import check_writable, write_text
 from scanrender.outputs.manifest import (
     MANIFEST_NAME,
@@ -49,6 +50,18 @@ class Result:
         }
 
 
+def stages_for(scan: Path, pipeline: Pipeline) -> list[str]:
+    """What is to do for this scan. Raises UsageError when that is nothing."""
+    prepared = is_asset(scan)
+    stages: list[str] = [stage for stage in pipeline.stages if not (prepared and stage == "prep")]
+    if not stages:
+        raise UsageError(
+            f"{scan} is a prepared asset already, and the pipeline stops there",
+            fix="name the raw scan, or add `render` to the pipeline's stages",
+        )
+    return stages
+
+
 def run_job(
     scan: Path,
     pipeline: Pipeline,
@@ -56,26 +69,32 @@ def run_job(
     progress: Progress,
     frames: Sequence[int] | None = None,
 ) -> Result:
-    """Prepare and render one scan. Raises any ScanrenderError; what is complete by then stays."""
+    """Prepare and render one scan, or render one that is prepared already (an asset folder).
+
+    Raises any ScanrenderError; what is complete by then stays.
+    """
+    stages = stages_for(scan, pipeline)
     check_writable(folder)
-    if "render" in pipeline.stages:
+    if "render" in stages:
         from scanrender.render.device import device
 
         device()  # no GL is said now, not after a minute of preparation
     result = Result(scan.stem, folder)
     asset_folder = folder / "asset"
-    if "prep" in pipeline.stages:
+    if "prep" in stages:
         check_replaceable(asset_folder)
     # A manifest means complete: an earlier run's must not vouch for what is written now.
     (folder / MANIFEST_NAME).unlink(missing_ok=True)
-    if "prep" in pipeline.stages:
+    if "prep" in stages:
         asset = _prepare(scan, pipeline, asset_folder, progress, result)
         source: dict[str, Any] = {"file": scan.name, "sha256": hash_file(scan)}
     else:
         asset = load_asset(scan, RENDERED_MAPS)
         source = dict(asset.info.get("source", {}))
+        if "prep" in pipeline.stages:
+            result.decisions.append("prep: the scan is a prepared asset already")
     gl: dict[str, Any] = {}
-    if "render" in pipeline.stages:
+    if "render" in stages:
         gl = _render(asset, pipeline, folder, progress, frames, result)
     write_text(folder / "pipeline.yaml", resolved_yaml(pipeline))
     result.files.append("pipeline.yaml")
@@ -106,22 +125,38 @@ def _render(
     frames: Sequence[int] | None,
     result: Result,
 ) -> dict[str, Any]:
+    from scanrender.batch.figure import write_figure
     from scanrender.render.device import device
     from scanrender.render.frame import Renderer
-    from scanrender.render.view import describe
 
     started = time.perf_counter()
+    if pipeline.figure.panels:
+        result.files += write_figure(
+            device(), asset, pipeline, folder, _subject(asset, result.name), progress
+        )
+        result.stages["render"] = time.perf_counter() - started
+        return _gl(device(), pipeline)
     renderer = Renderer(device(), asset, pipeline)
     result.stages["upload"] = time.perf_counter() - started
-    written = write_turntable(renderer, folder, result.name, progress, frames)
+    written = write_turntable(renderer, folder, _subject(asset, result.name), progress, frames)
     result.files += written.files
     result.stages.update(written.seconds)
     result.decisions += [f"{d.what}: {d.reason}" for d in renderer.decisions]
-    gl = renderer.device
+    return _gl(renderer.device, pipeline)
+
+
+def _subject(asset: Asset, name: str) -> str:
+    """The scan's name, also where the job is given its asset's folder."""
+    return Path(str(asset.info.get("source", {}).get("file", ""))).stem or name
+
+
+def _gl(device: Any, pipeline: Pipeline) -> dict[str, Any]:
+    from scanrender.render.view import describe
+
     return {
-        "renderer": gl.renderer,
-        "version": gl.version,
-        "vendor": gl.vendor,
+        "renderer": device.renderer,
+        "version": device.version,
+        "vendor": device.vendor,
         "view": describe(pipeline.view),
     }
 

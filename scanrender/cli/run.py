@@ -8,6 +8,8 @@ import click
 
 from scanrender.cli import options
 
+OWN_HEAD_TRIANGLES = 400_000
+
 
 @click.command("run")
 @click.argument("pipeline")
@@ -31,7 +33,9 @@ def command(
 ) -> None:
     """Run PIPELINE (a file, or the name of a shipped one) on each SCAN.
 
-    One scan's results go straight into --out, several into a folder each.
+    One scan's results go straight into --out, several into a folder each. A SCAN may be the asset
+    folder of an earlier preparation, which is then not done again. A figure's pipeline
+    (figures/fig1 …) without a scan shows our own procedural head.
     """
     from scanrender.cli.progress import progress
     from scanrender.cli.report import print_results
@@ -39,6 +43,8 @@ def command(
     from scanrender.settings.loading import load_pipeline
 
     settings = load_pipeline(pipeline, overrides)
+    if not scans and settings.figure.panels:
+        scans = (_own_head(out),)
     if not scans:
         raise UsageError(
             "run needs at least one scan", fix="scanrender run PIPELINE SCAN --out OUT"
@@ -47,9 +53,11 @@ def command(
         options.existing(scan, "scan")
     chosen = options.frame_range(frames, settings.turntable.frames)
     if dry_run:
+        from scanrender.batch.job import stages_for
+
         count = len(chosen) if chosen is not None else settings.turntable.frames
         for scan in scans:
-            click.echo(f"{scan}: {' + '.join(settings.stages)}, {count} frames -> {out}")
+            click.echo(f"{scan}: {' + '.join(stages_for(scan, settings))}, {count} frames -> {out}")
         return
     from scanrender.batch.run import run_batch
 
@@ -59,3 +67,15 @@ def command(
         )
     print_results(batch.results, as_json)
     batch.raise_if_failed()
+
+
+def _own_head(out: Path) -> Path:
+    """The demo's raw head, made once."""
+    from scanrender.files import check_writable
+    from scanrender.phantom import Damage, make_head, scan_head, write_ply
+
+    scan = out / "raw_scan" / "head.ply"
+    if not scan.exists():
+        check_writable(out)
+        write_ply(scan, scan_head(make_head(OWN_HEAD_TRIANGLES, 0), Damage(), 0))
+    return scan

@@ -24,30 +24,37 @@ RULE = (52, 54, 58)
 INK = (236, 236, 234)
 LABEL = (186, 188, 192)
 FADED = (128, 130, 135)
+SMALL, LINE = 0.9, 1.25  # a note's letters and lines, in those of the label
 
 
 @dataclass(frozen=True)
 class Tile:
-    """One picture of the sheet: `pixels` (h, w, 3), display-encoded, float in [0, 1] or uint8."""
+    """One picture of the sheet: `pixels` (h, w, 3), display-encoded, float in [0, 1] or uint8.
+
+    `note` stands under the label in smaller letters.
+    """
 
     label: str
     pixels: npt.NDArray[Any]
+    note: str = ""
 
 
 @dataclass(frozen=True)
 class _Grid:
-    """Where things go, in px. `cell` (w, h) is a tile's room without its label."""
+    """Where things go, in px. `cell` is a column's width, `rows` are the rows' heights."""
 
     width: int
     columns: int
     margin: int
     gap: int
-    cell: tuple[int, int]
+    cell: int
+    rows: tuple[int, ...]
+    words: int  # room under the pictures for label and note
     body: int
 
-    @property
-    def row_height(self) -> int:
-        return self.cell[1] + round(self.body * 2.6) + self.gap // 2
+    def top(self, row: int) -> int:
+        """From the first row's top to that of `row`."""
+        return sum(self.rows[:row]) + row * (self.words + self.gap // 2)
 
 
 def contact_sheet(
@@ -61,8 +68,9 @@ def contact_sheet(
 ) -> Path:
     """Write `tiles`, row by row in `columns`, under a header and above a footer, as PNG.
 
-    Tiles are shown at their own size if the page stays within 2880 px, else reduced alike; small
-    pictures are enlarged only by whole factors. `title` is the scan, `subtitle` the pipeline,
+    Every picture is as wide as its column; the widest are shown at their own size if the page stays
+    within 2880 px, small ones enlarged by whole factors where all are alike. The pictures of a row
+    start at one height. `title` is the scan, `subtitle` the pipeline,
     `footer` what made it (renderer string, version). Raises UsageError without tiles or columns,
     OutputError when the file cannot be written.
     """
@@ -80,9 +88,8 @@ def sheet_pixels(
     body, big, medium, small = (round(grid.body * size) for size in (1.0, 2.1, 1.1, 0.92))
     header = round(body * 5.6 if subtitle else body * 4.0)
     notes = wrapped(footer, small, inner)
-    rows = -(-len(tiles) // grid.columns)
     foot = (round(body * 1.2) + round(body * 1.35) * len(notes)) if notes else 0
-    height = 2 * grid.margin + header + rows * grid.row_height + foot
+    height = 2 * grid.margin + header + grid.top(len(grid.rows)) + foot
 
     sheet = Image.new("RGB", (grid.width, height), GROUND)
     write(sheet, (grid.margin, grid.margin), elided(title, big, inner), INK, big)
@@ -90,8 +97,8 @@ def sheet_pixels(
     write(sheet, below, elided(subtitle, medium, inner), FADED, medium)
     for index, tile in enumerate(tiles):
         row, column = divmod(index, grid.columns)
-        left = grid.margin + column * (grid.cell[0] + grid.gap)
-        top = grid.margin + header + row * grid.row_height
+        left = grid.margin + column * (grid.cell + grid.gap)
+        top = grid.margin + header + grid.top(row)
         _place(sheet, tile, (left, top), grid)
     if notes:
         top = height - grid.margin - foot
@@ -113,25 +120,36 @@ def _layout(tiles: Sequence[Tile], columns: int) -> _Grid:
     # Whole multiples where there is room: pixels are shown as they are, not resampled by 1.02.
     cell_width = room // widest * widest or room
     width = max(MIN_SHEET, 2 * margin + columns * cell_width + gap * (columns - 1))
-    tallest = max(tile.pixels.shape[0] / tile.pixels.shape[1] for tile in tiles)
-    # A tall sliver among wide pictures must not stretch the page: twice the width is enough.
-    cell_height = max(1, round(cell_width * min(tallest, 2.0)))
-    return _Grid(width, columns, margin, gap, (cell_width, cell_height), max(12, round(width / 95)))
+    body = max(12, round(width / 95))
+    sizes = [_size(tile, cell_width) for tile in tiles]
+    rows = tuple(
+        max(height for _, height in sizes[start : start + columns])
+        for start in range(0, len(tiles), columns)
+    )
+    lines = max(len(wrapped(tile.note, round(body * SMALL), cell_width)) for tile in tiles)
+    words = round(body * (2.6 + LINE * lines))
+    return _Grid(width, columns, margin, gap, cell_width, rows, words, body)
+
+
+def _size(tile: Tile, width: int) -> tuple[int, int]:
+    """(w, h) of a picture in a cell of this width: as wide as it, unless it is a tall sliver."""
+    tall, wide = tile.pixels.shape[:2]
+    scale = min(width / wide, 2.0 * width / tall)
+    return max(1, round(wide * scale)), max(1, round(tall * scale))
 
 
 def _place(sheet: Image.Image, tile: Tile, at: tuple[int, int], grid: _Grid) -> None:
-    """Fit the tile into its cell and write its label under it."""
+    """Fit the tile to its column and write its words under it."""
     pixels = tile.pixels if tile.pixels.dtype == np.uint8 else bytes_from_unit(tile.pixels)
     picture = Image.fromarray(np.ascontiguousarray(pixels[:, :, :3]))
-    cell_width, cell_height = grid.cell
-    scale = min(cell_width / picture.width, cell_height / picture.height)
-    scale = float(int(scale)) if scale > 1.0 else scale
-    size = (max(1, round(picture.width * scale)), max(1, round(picture.height * scale)))
+    size = _size(tile, grid.cell)
     if size != picture.size:
-        # Enlarged pixels stay equal squares, so that nobody takes blur for the renderer's.
-        method = Image.Resampling.NEAREST if scale > 1.0 else Image.Resampling.LANCZOS
-        picture = picture.resize(size, method)
+        picture = picture.resize(size, Image.Resampling.LANCZOS)
     left, top = at
-    sheet.paste(picture, (left, top + cell_height - size[1]))  # on its label, whatever its shape
-    words = elided(tile.label, grid.body, cell_width)
-    write(sheet, (left, top + cell_height + round(grid.body * 0.6)), words, LABEL, grid.body)
+    sheet.paste(picture, (left, top))
+    below = top + size[1] + round(grid.body * 0.6)
+    write(sheet, (left, below), elided(tile.label, grid.body, grid.cell), LABEL, grid.body)
+    small = round(grid.body * SMALL)
+    for line, words in enumerate(wrapped(tile.note, small, grid.cell)):
+        at = (left, below + round(grid.body * (1.45 + LINE * line)))
+        write(sheet, at, elided(words, small, grid.cell), FADED, small)

@@ -14,7 +14,8 @@ not finite are magenta and counted; where alpha is 0 there is a grey checker.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -104,6 +105,24 @@ def false_colour(spec: BufferSpec, pixels: Floats, alpha: Floats | None = None) 
     return _with_legend(picture, spec, shown.bars, remarks, bad)
 
 
+def with_common_range(spec: BufferSpec, pictures: Sequence[tuple[Floats, Floats]]) -> BufferSpec:
+    """`spec` with one range for several (pixels, alpha) of its buffer, so that they compare.
+
+    A fixed range and the vectors' stay as they are. Scene-linear light runs from black to its 99.5
+    percentile, however dark that is.
+    """
+    if spec.span or spec.kind == "vector":
+        return spec
+    seen = np.concatenate([
+        pixels[(alpha > 0) & np.isfinite(pixels.reshape(*alpha.shape, -1)).all(axis=2)].ravel()
+        for pixels, alpha in pictures
+    ])  # fmt: skip
+    low, high = _percentiles(seen)
+    if spec.kind == "colour" and (spec.space == LINEAR or low > 0.0):
+        low = 0.0
+    return replace(spec, span=(low, max(high, low + 1e-6)))
+
+
 def _show_scalar(spec: BufferSpec, values: Floats, subject: Mask) -> _Shown:
     low, high = spec.span or _percentiles(values[:, :, 0][subject])
     table = diverging_table() if low == -high else sequential_table()
@@ -132,7 +151,7 @@ def _show_colour(spec: BufferSpec, values: Floats, subject: Mask) -> _Shown:
     ramp = np.linspace(0.0, 1.0, 256)[:, None].repeat(3, axis=1)
     if spec.space == LINEAR:
         bright = float(np.percentile(seen, 99.5)) if seen.size else 0.0
-        white = max(1.0, bright)
+        white = spec.span[1] if spec.span else max(1.0, bright)
         picture = bytes_from_unit(srgb_from_linear(np.clip(values, 0.0, white) / white))
         bar = _Bar("", bytes_from_unit(srgb_from_linear(ramp)), 0.0, white)
         exposure = "exposure x1" if white == 1.0 else f"exposure x{1.0 / white:.3g}, auto-scaled"

@@ -26,7 +26,8 @@ class Camera:
     """A camera around `target_mm`. `size_px` and `half_height` exclude the guard band.
 
     `half_height` is half of the picture's height: a tangent (mm at 1 mm) in perspective, mm at any
-    depth when orthographic.
+    depth when orthographic. `centre_px` is where the picture's centre lies from the optical axis,
+    (right, down): not 0 when the picture is a window cut out of a larger one.
     """
 
     size_px: tuple[int, int]
@@ -38,6 +39,7 @@ class Camera:
     target_mm: npt.NDArray[np.float64]
     near_mm: float
     far_mm: float
+    centre_px: tuple[float, float] = (0.0, 0.0)
 
     @property
     def view_from_world(self) -> Matrix:
@@ -52,6 +54,25 @@ class Camera:
         """The same camera, further around the subject."""
         return replace(self, azimuth_deg=self.azimuth_deg + degrees)
 
+    def window(self, shares: tuple[float, float, float, float]) -> Camera:
+        """The same camera that shows only (left, top, right, bottom) of its picture, as shares.
+
+        The window is whole pixels of that picture, at least one: what it shows is a crop of it.
+        """
+        spans = []
+        for low, high, side in zip(shares[:2], shares[2:], self.size_px, strict=True):
+            start = min(int(low * side + 1e-6), side - 1)
+            spans.append((start, max(int(high * side + 1e-6), start + 1)))
+        (left, right), (top, bottom) = spans
+        width, height = self.size_px
+        x, y = self.centre_px
+        return replace(
+            self,
+            size_px=(right - left, bottom - top),
+            half_height=self.half_height * (bottom - top) / height,
+            centre_px=(x + 0.5 * (left + right - width), y + 0.5 * (top + bottom - height)),
+        )
+
     def clip_from_view(self, guard_px: int = 0, jitter_px: tuple[float, float] = (0, 0)) -> Matrix:
         """Projection with `guard_px` more pixels on each side, moved by a sub-pixel jitter.
 
@@ -59,20 +80,21 @@ class Camera:
         """
         width, height = self.size_px
         tall, wide = height + 2 * guard_px, width + 2 * guard_px
+        right, down = self.centre_px[0] + jitter_px[0], self.centre_px[1] + jitter_px[1]
         p11 = 1.0 / (self.half_height * tall / height)
         near, far = self.near_mm, self.far_mm
         matrix = np.zeros((4, 4))
         if self.is_orthographic:
             matrix[0, 0], matrix[1, 1] = p11 * tall / wide, p11
-            matrix[0, 3], matrix[1, 3] = -2.0 * jitter_px[0] / wide, 2.0 * jitter_px[1] / tall
+            matrix[0, 3], matrix[1, 3] = -2.0 * right / wide, 2.0 * down / tall
             matrix[2, 2], matrix[2, 3] = -2.0 / (far - near), -(far + near) / (far - near)
             matrix[3, 3] = 1.0
             return matrix
         matrix[0, 0] = p11 * tall / wide  # square pixels
         matrix[1, 1] = p11
         # A sample right of the pixel's centre sees what a picture moved left would show there.
-        matrix[0, 2] = 2.0 * jitter_px[0] / wide
-        matrix[1, 2] = -2.0 * jitter_px[1] / tall
+        matrix[0, 2] = 2.0 * right / wide
+        matrix[1, 2] = -2.0 * down / tall
         matrix[2, 2] = -(far + near) / (far - near)
         matrix[2, 3] = -2.0 * far * near / (far - near)
         matrix[3, 2] = -1.0

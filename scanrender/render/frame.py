@@ -49,6 +49,11 @@ class Renderer:
         self.camera = self._camera()
         self.guard_px = self._guard_px()
 
+    def show_window(self, shares: tuple[float, float, float, float]) -> None:
+        """From now on render only (left, top, right, bottom) of the picture, as shares of it."""
+        self.camera = self._camera().window(shares)
+        self.guard_px = self._guard_px()
+
     @property
     def buffer_names(self) -> list[str]:
         """Every buffer that this scene can dump, in the catalogue's order."""
@@ -189,6 +194,7 @@ class Renderer:
             "subject_deg": view.subject_deg,
             "camera_deg": view.camera_deg,
             "camera_distance_mm": round(self.camera.distance_mm, 3),
+            "px_per_mm": round(self.camera.px_per_mm(self.camera.distance_mm), 6),
             "guard_px": self.guard_px,
         }
 

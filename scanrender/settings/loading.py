@@ -53,7 +53,24 @@ def load_pipeline(source: str | Path, overrides: Sequence[str] = ()) -> Pipeline
     for text in overrides:
         _apply_override(layer, text)
     _find_pictures(layer)
-    return _validate(layer, str(path))
+    pipeline = _validate(layer, str(path))
+    panel_pipelines(pipeline, str(path))  # a slip in the last panel is told before the first
+    return pipeline
+
+
+def panel_pipelines(pipeline: Pipeline, source: str) -> list[Pipeline]:
+    """One pipeline for each panel of the figure: the pipeline with what the panel sets, and no
+    figure of its own. Raises ConfigError that names the panel's key in `source`."""
+    base = pipeline.model_dump(mode="json", exclude_unset=True)
+    base.pop("figure", None)
+    found = []
+    for number, panel in enumerate(pipeline.figure.panels):
+        where = f"{source}, figure.panels.{number}.set"
+        layer = _Layer(copy.deepcopy(base), {})
+        for name, value in panel.set.items():
+            _set(layer, name, value, where)
+        found.append(_validate(layer, where))
+    return found
 
 
 def find_pipeline(source: str | Path) -> Path:
@@ -226,6 +243,10 @@ def _apply_override(layer: _Layer, text: str) -> None:
         value = YAML(typ="safe", pure=True).load(value_text)
     except YAMLError as error:
         raise ConfigError(f"the value is not valid YAML: {value_text!r}", where=place) from error
+    _set(layer, name, value, place)
+
+
+def _set(layer: _Layer, name: str, value: Any, place: str) -> None:
     parts: list[str | int] = [int(p) if p.isdigit() else p for p in name.strip().split(".")]
     if parts[0] == "extends":
         raise ConfigError("extends can stand in a file only", place, "set the values themselves")

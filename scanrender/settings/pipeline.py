@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from scanrender.settings.base import Section, setting
+from scanrender.settings.figure import FigureSettings
 from scanrender.settings.light import AmbientLight, DirectionalLight, Light
 from scanrender.settings.outputs import OutputSettings
 from scanrender.settings.prep import PrepSettings
@@ -41,3 +42,4 @@ class Pipeline(Section):
     quality: QualitySettings = QualitySettings()
     view: ViewSettings = ViewSettings()
     outputs: OutputSettings = OutputSettings()
+    figure: FigureSettings = FigureSettings()

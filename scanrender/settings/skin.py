@@ -49,7 +49,8 @@ class TransmissionSettings(Section):
 
     method: Literal["none", "shadow_map", "baked"] = setting(
         "shadow_map",
-        "Where the thickness comes from: the way of each light, or the asset's thickness map.",
+        "Where the thickness comes from: the way of each light, or the asset's thickness map "
+        "(along the normal: rims, where light takes a shorter way, then glow less).",
         unit="",
     )
     wrap: float = setting(

@@ -209,10 +209,23 @@ def test_a_place_that_cannot_be_written_is_said_before_the_work(tmp_path: Path):
 
 
 @pytest.mark.gl
-def test_a_job_does_not_replace_a_folder_of_something_else(asset: Path, tmp_path: Path):
+def test_a_job_does_not_replace_a_folder_of_something_else(tmp_path: Path):
     (tmp_path / "asset").mkdir()
     (tmp_path / "asset" / "mine.txt").write_text("mine")
     settings = pipeline(TINY.model_dump(mode="json"), stages=["prep"])
     with pytest.raises(OutputError, match="not an asset"):
-        run_job(asset, settings, tmp_path, silent)
+        run_job(tmp_path / "scan.obj", settings, tmp_path, silent)
     assert files_in(tmp_path) == {"asset/mine.txt"}
+
+
+@pytest.mark.gl
+def test_an_asset_given_as_a_scan_is_not_prepared_again(asset: Path, tmp_path: Path):
+    """Nine figures of one head need one preparation."""
+    settings = pipeline(TINY.model_dump(mode="json"), stages=["prep", "render"])
+    result = run_job(asset, settings, tmp_path, silent)
+    assert "prep" not in result.stages
+    assert any("prepared asset" in reason for reason in result.decisions)
+    assert not (tmp_path / "asset").exists()
+    with pytest.raises(UsageError, match="prepared asset already"):
+        run_job(asset, pipeline(stages=["prep"]), tmp_path / "other", silent)
+    assert not (tmp_path / "other").exists()

@@ -11,7 +11,7 @@ from scanrender.buffers import CATALOGUE, buffer_spec
 from scanrender.images import read_image
 from scanrender.outputs import colourmaps, falsecolour
 from scanrender.outputs.colourmaps import diverging_table, sequential_table, tick_labels
-from scanrender.outputs.falsecolour import false_colour, false_colour_png
+from scanrender.outputs.falsecolour import false_colour, false_colour_png, with_common_range
 
 MAGENTA = np.array(colourmaps.MAGENTA)
 
@@ -140,3 +140,23 @@ def test_the_file_holds_the_picture_and_is_reproducible(tmp_path, frame):
 )
 def test_ticks_have_the_decimals_they_need(low, high, labels):
     assert tick_labels(low, high, 3) == labels
+
+
+def test_one_range_for_several_pictures_of_a_buffer():
+    near, far = (np.full((8, 8, 1), level, np.float32) for level in (0.2, 0.8))
+    alpha = np.ones((8, 8), np.float32)
+    spec = with_common_range(buffer_spec("edge_guide"), [(near, alpha), (far, alpha)])
+    assert spec.span == pytest.approx((0.2, 0.8))
+    first, second = (false_colour(spec, pixels, alpha)[4, 4] for pixels in (near, far))
+    assert np.abs(first.astype(int) - second).max() > 50
+    fixed = buffer_spec("curvature")
+    assert with_common_range(fixed, [(near, alpha)]) == fixed
+
+
+def test_dark_light_is_exposed_up_when_pictures_share_a_range():
+    glow = np.full((8, 8, 3), 0.1, np.float32)
+    alpha = np.ones((8, 8), np.float32)
+    spec = buffer_spec("transmission")
+    shared = with_common_range(spec, [(glow, alpha), (0.5 * glow, alpha)])
+    assert false_colour(shared, glow, alpha)[4, 4].min() > 250
+    assert false_colour(spec, glow, alpha)[4, 4].max() < 100

@@ -65,6 +65,35 @@ def test_mixed_sizes_long_labels_and_a_short_last_row(tmp_path):
     assert read_image(one).shape[1] == module.MIN_SHEET
 
 
+def painted(height, width, level):
+    return np.full((height, width, 3), (level, 0, 0), np.uint8)
+
+
+def extent(sheet, level):
+    """(top, bottom, left, right) of what has this red; letters are grey."""
+    rows, columns = np.nonzero((np.abs(sheet.astype(int) - (level, 0, 0)) < 2).all(axis=2))
+    return rows.min(), rows.max(), columns.min(), columns.max()
+
+
+def test_pictures_of_a_row_start_at_one_top_and_fill_their_columns():
+    """A cropped panel beside a square one and one with a legend under it."""
+    parts = [painted(300, 400, 200), painted(200, 400, 160), painted(90, 120, 120)]
+    sheet = sheet_pixels([Tile("a", part, "1.0") for part in parts], 3, "t", "s", "")
+    tops, bottoms, lefts, rights = zip(*(extent(sheet, v) for v in (200, 160, 120)), strict=True)
+    assert max(tops) - min(tops) <= 1
+    widths = np.subtract(rights, lefts)
+    np.testing.assert_allclose(widths, 399, atol=1)
+    np.testing.assert_allclose(np.subtract(bottoms, tops), [299, 199, 299], atol=1)
+
+
+def test_a_note_stands_under_the_label():
+    plain = sheet_pixels([Tile("a", painted(90, 400, 200))], 1, "t", "", "")
+    noted = sheet_pixels([Tile("a", painted(90, 400, 200), "dE2000 0.20")], 1, "t", "", "")
+    assert noted.shape[0] > plain.shape[0]
+    below = noted[extent(noted, 200)[1] + 25 :]
+    assert (below.max(axis=(1, 2)) > 100).any()
+
+
 def test_an_empty_sheet_is_refused(tmp_path):
     with pytest.raises(UsageError, match="at least one tile"):
         contact_sheet(tmp_path / "s.png", [], columns=3, title="t")

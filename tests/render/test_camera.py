@@ -7,8 +7,11 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from render.synthetic import MATT, pipeline, sphere
 
 from scanrender.render.camera import Camera, frame_subject, rotation_x, rotation_y
+from scanrender.render.device import Device
+from scanrender.render.frame import Renderer
 from scanrender.render.samples import sample_offsets_px
 from scanrender.settings.shot import CameraSettings
 
@@ -151,3 +154,25 @@ def test_samples_are_spread_and_centred(side: int):
         assert len(np.unique(np.round(offsets[:, axis], 9))) == side * side, "own column and row"
     cells = np.unique(np.floor((offsets + 0.5) * side), axis=0)
     assert len(cells) == side * side, "one in each cell of the grid"
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
+def test_a_window_is_a_crop_of_the_picture(gl: Device, projection: str):
+    """With light that diffuses in from outside the window, too."""
+    settings = pipeline(
+        MATT,
+        camera={"projection": projection, "width_px": 120, "height_px": 96},
+        lights=[{"type": "directional", "azimuth_deg": 70, "shadow": False}],
+        quality={"supersampling": 2},
+    )
+    renderer = Renderer(gl, sphere(20.0), settings)
+    names = ("beauty", "diffuse", "depth_mm", "kernel_px")
+    whole = renderer.render(renderer.view(0), names)
+    renderer.show_window((0.5, 0.25, 0.9, 0.75))
+    part = renderer.render(renderer.view(0), names)
+    assert part.alpha.shape == (48, 48)
+    for name in names:
+        np.testing.assert_allclose(
+            part.buffers[name], whole.buffers[name][24:72, 60:108], rtol=1e-3, atol=1e-3
+        )

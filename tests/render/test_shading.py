@@ -20,6 +20,7 @@ from render.synthetic import (
     sphere_mesh,
     turned,
 )
+from scipy import ndimage
 
 from scanrender.asset import Asset
 from scanrender.optics.profiles.gaussians import D_EON_SKIN
@@ -263,6 +264,15 @@ def test_oblique_light_crosses_more_skin(gl: Device, azimuth: float):
     made = render(gl, slab(20.0, 3.0), settings, "thickness_mm")
     way = 3.0 / -np.cos(np.deg2rad(azimuth))
     np.testing.assert_allclose(made["thickness_mm"][44:52, 44:52], way, rtol=0.06)
+
+
+def test_a_rim_is_as_thick_as_it_is_and_not_as_what_lies_beside_it(gl: Device):
+    """Half of the taps at a slab's edge miss it: they tell of no way through skin."""
+    transmission = {"method": "shadow_map", "blur_mm": 3.0}
+    made = render(gl, slab(20.0, 3.0), pipeline(MATT, skin={"transmission": transmission},
+                  lights=[BEHIND]), "thickness_mm")  # fmt: skip
+    seen = ndimage.binary_erosion(made["alpha"][:, :, 0] == 1, iterations=2)
+    np.testing.assert_allclose(made["thickness_mm"][seen], 3.0, atol=0.05)
 
 
 def test_the_thinnest_skin_is_the_lit_face_and_fades_in(gl: Device):

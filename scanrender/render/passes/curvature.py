@@ -1,4 +1,10 @@
-"""curvature: curvature_raw, or the asset's map, smoothed on the surface, rows then columns."""
+"""curvature: curvature_raw, or the asset's map, smoothed on the surface, rows then columns.
+
+Two Gaussians for one: a narrow one with a tap on every pixel, then a wide one with taps as far
+apart as the narrow one allows. On noise that is within 1.6 % of a tap on every pixel from 0.5 to
+60 px, and costs the root of the radius: 50 taps a direction at 9 px (instead of 55), 116 at 60 px
+(instead of 361). Decision 15.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +17,18 @@ from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
 from scanrender.render.scene import Scene, Shot
 
+STEPS = (("FINE", (1, 0)), ("FINE", (0, 1)), ("COARSE", (1, 0)), ("COARSE", (0, 1)))
+
 
 def passes(scene: Scene) -> list[Pass]:
-    source = "_baked" if scene.pipeline.curvature.source == "baked" else "curvature_raw"
+    names = [
+        "_baked" if scene.pipeline.curvature.source == "baked" else "curvature_raw",
+        *(f"_curvature_{number}" for number in range(1, len(STEPS))),
+        "curvature",
+    ]
     return [
-        _direction(scene, source, "_curvature_horizontal", (1, 0)),
-        _direction(scene, "_curvature_horizontal", "curvature", (0, 1)),
+        _step(scene, names[number], names[number + 1], step, direction)
+        for number, (step, direction) in enumerate(STEPS)
     ]
 
 
@@ -27,19 +39,16 @@ def _sigma_mm(scene: Scene) -> float:
     return math.sqrt(max(curvature.smooth_mm**2 - done**2, 0.0))
 
 
-def _direction(scene: Scene, source: str, written: str, direction: tuple[int, int]) -> Pass:
+def _step(scene: Scene, source: str, written: str, step: str, direction: tuple[int, int]) -> Pass:
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
-        program = scene.device.program("curvature")
-        taps = scene.smoothing_taps
+        program = scene.device.program("curvature", defines=(step,))
         bind(
             program,
             {
                 "source": inputs[source],
                 "position": inputs["position"],
-                "taps": taps,
-                "tap_count": taps.size[0],
                 "direction": direction,
                 "sigma_mm": _sigma_mm(scene),
                 **shot.screen_uniforms,

@@ -73,6 +73,7 @@ vec3 crossing(vec3 p, vec3 n, vec3 l, ivec2 here) {
     float buried = bias_mm * max(0.0, -dot(l, n));
     vec3 t = vec3(0.0);
     float thickness = 0.0;
+    float paths = 0.0;
     for (int i = 0; i < tap_count; ++i) {
         vec2 offset = disk_point(i, tap_count, turn) * max(blur_mm, texel_mm);
         float entry = first_depth(inside, offset);
@@ -82,11 +83,13 @@ vec3 crossing(vec3 p, vec3 n, vec3 l, ivec2 here) {
         float exit = plane_depth(inside, offset);
         bool no_path = away && entry > exit + bias_mm;
         float d = no_path ? far_mm : max(0.0, exit - entry) * inside.way_per_depth + buried;
-        thickness += d;
+        // What is told is the way through skin where there is one: a rim's taps beside it have none.
+        thickness += no_path ? 0.0 : d;
+        paths += no_path ? 0.0 : 1.0;
         // Fading in over one more bias keeps the terminator smooth when `wrap` lights it.
         t += d >= opaque_mm ? vec3(0.0) : smoothstep(bias_mm, 2.0 * bias_mm, d) * transmittance_at(d);
     }
-    thickness_mm = thickness / float(tap_count);
+    thickness_mm = paths > 0.0 ? thickness / paths : far_mm;
     return t / float(tap_count);
 }
 #endif
