@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from scanrender import __version__
-from scanrender.asset import Asset, check_replaceable, is_asset, load_asset
+from scanrender.asset import Asset, check_replaceable, load_asset
 from scanrender.batch.prep_report import draw_prep_sheet
+from scanrender.batch.stages import stages_for
 from scanrender.batch.turntable import Progress, write_turntable
-from scanrender.errors import UsageError
 from scanrender.files import check_writable, write_text
 from scanrender.outputs.manifest import (
     MANIFEST_NAME,
@@ -48,18 +48,6 @@ class Result:
             "warnings": self.warnings,
             "not_run": self.decisions,
         }
-
-
-def stages_for(scan: Path, pipeline: Pipeline) -> list[str]:
-    """What is to do for this scan. Raises UsageError when that is nothing."""
-    prepared = is_asset(scan)
-    stages: list[str] = [stage for stage in pipeline.stages if not (prepared and stage == "prep")]
-    if not stages:
-        raise UsageError(
-            f"{scan} is a prepared asset already, and the pipeline stops there",
-            fix="name the raw scan, or add `render` to the pipeline's stages",
-        )
-    return stages
 
 
 def run_job(

@@ -53,7 +53,7 @@ def command(
         options.existing(scan, "scan")
     chosen = options.frame_range(frames, settings.turntable.frames)
     if dry_run:
-        from scanrender.batch.job import stages_for
+        from scanrender.batch.stages import stages_for
 
         count = len(chosen) if chosen is not None else settings.turntable.frames
         for scan in scans:
