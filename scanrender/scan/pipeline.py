@@ -87,7 +87,7 @@ def _prepared(
     as_is: bool,
     views: Path | None,
 ) -> Asset:
-    health = _health(path, scan, prep)
+    health, source = _health(path, scan, prep), Aside(lambda: _source(path))
     with journal.stage("ingest") as notes:
         raw = read_scan(path, scan)
         notes.update(notes=list(raw.notes), color=raw.color_source)
@@ -105,7 +105,7 @@ def _prepared(
     counts = _counts(raw, cleaned.surface, low)
     counts["prepared"]["self_intersecting_faces"] = lost.pop("self_intersecting_faces", None)
     info = {
-        "source": _source(path),
+        "source": source.result(),
         "units": cleaned.frame.units,
         "axes": cleaned.frame.axes,
         "raw_from_asset": cleaned.frame.raw_from_asset,

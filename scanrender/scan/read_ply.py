@@ -138,7 +138,7 @@ def _faces(
         corners = np.asarray(indices[1], np.int64)
         triangles = polygon_corners(sizes, corners, positions)
         polygon_of = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
-        faces = corners[triangles]
+        faces = np.take(corners, triangles)
         uv = _corner_uv(face.get("texcoord"), sizes)
         if uv is not None:
             return faces, uv[triangles], polygon_of

@@ -18,6 +18,8 @@ def fan_corners(sizes: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
     starts at each polygon's first corner: exact for convex ones.
     """
     sizes = np.asarray(sizes, np.int64)
+    if (sizes == 3).all():  # nearly every scan: a fifth of the time of reading it
+        return np.arange(3 * len(sizes)).reshape(-1, 3)
     starts = np.cumsum(sizes) - sizes
     triangles = np.maximum(sizes - 2, 0)
     first = np.repeat(starts, triangles)
