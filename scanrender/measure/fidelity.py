@@ -16,10 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.asset import Asset, Mesh
-from scanrender.errors import DeviceError, ScanrenderError, UsageError
+from scanrender.errors import DeviceError, ScanrenderError
 from scanrender.files import make_folder
 from scanrender.measure import tables
 from scanrender.measure.bust import Truth, bust_scan, phantom_bust
+from scanrender.measure.chosen import chosen
 from scanrender.measure.limits import ATLAS, Limits
 from scanrender.measure.prep_bench import write_rows
 from scanrender.scan.ingest import read_scan
@@ -98,12 +99,7 @@ FIDELITY_CASES = {
 
 def fidelity_list(text: str) -> list[FidelityCase]:
     """`noise_0,phantom`, or `all`. Raises UsageError for a case that does not exist."""
-    names = list(FIDELITY_CASES) if text == "all" else [x.strip() for x in text.split(",") if x]
-    for name in names:
-        if name not in FIDELITY_CASES:
-            fix = f"one of {', '.join(FIDELITY_CASES)}, or all"
-            raise UsageError(f"no such case: {name!r}", fix=fix)
-    return [FIDELITY_CASES[name] for name in names]
+    return [FIDELITY_CASES[name] for name in chosen(text, FIDELITY_CASES)]
 
 
 def bench_fidelity(

@@ -19,9 +19,9 @@ from scipy import ndimage
 
 from scanrender.asset import load_asset
 from scanrender.buffers import Frame
-from scanrender.errors import UsageError
 from scanrender.files import make_folder
 from scanrender.measure import tables
+from scanrender.measure.chosen import chosen
 from scanrender.measure.own_head import own_head
 from scanrender.measure.prep_bench import write_rows
 from scanrender.metrics import delta_e_2000_linear, summarize
@@ -48,11 +48,7 @@ BORDER_PX = 3
 
 def way_list(text: str) -> list[str]:
     """`none,gaussian_sum`, or `all`. Raises UsageError for a way that does not exist."""
-    names = list(WAYS) if text == "all" else [name.strip() for name in text.split(",") if name]
-    for name in names:
-        if name not in WAYS:
-            raise UsageError(f"no such case: {name!r}", fix=f"one of {', '.join(WAYS)}, or all")
-    return names
+    return chosen(text, WAYS)
 
 
 def bench_flicker(

@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from scanrender import __version__
-from scanrender.errors import ScanrenderError, UsageError
+from scanrender.errors import ScanrenderError
 from scanrender.files import make_folder, write_json, write_text
 from scanrender.measure import prep_inputs, tables
+from scanrender.measure.chosen import chosen
 from scanrender.measure.limits import ATLAS, Limits
 from scanrender.measure.stage_costs import add_plain_calls, stage_costs
 from scanrender.measure.watch import Watch
@@ -94,11 +95,7 @@ DEFAULT_CASES = ("1m", "head", "chain")
 
 def case_list(text: str) -> list[Case]:
     """`1m,chain`, or `all`. Raises UsageError for a case that does not exist."""
-    names = list(CASES) if text == "all" else [name.strip() for name in text.split(",") if name]
-    for name in names:
-        if name not in CASES:
-            raise UsageError(f"no such case: {name!r}", fix=f"one of {', '.join(CASES)}, or all")
-    return [CASES[name] for name in names]
+    return [CASES[name] for name in chosen(text, CASES)]
 
 
 def bench_prep(

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from scanrender.asset import Asset, load_asset
-from scanrender.errors import UsageError
 from scanrender.files import make_folder
 from scanrender.measure import tables
+from scanrender.measure.chosen import chosen
 from scanrender.measure.limits import Limits
 from scanrender.measure.own_head import own_head
 from scanrender.measure.prep_bench import write_rows
@@ -61,11 +61,7 @@ WAYS = (
 
 def view_list(text: str) -> list[str]:
     """`close,far`, or `all`. Raises UsageError for a view that does not exist."""
-    names = list(VIEWS) if text == "all" else [name.strip() for name in text.split(",") if name]
-    for name in names:
-        if name not in VIEWS:
-            raise UsageError(f"no such case: {name!r}", fix=f"one of {', '.join(VIEWS)}, or all")
-    return names
+    return chosen(text, VIEWS)
 
 
 def bench_render(
