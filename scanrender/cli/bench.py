@@ -68,25 +68,26 @@ def command(
     table, OUT/TARGET.json and OUT/TARGET.csv; pictures in OUT.
     """
     from scanrender.measure import fidelity, flicker, prep_bench, render_bench
+    from scanrender.measure.chosen import chosen
     from scanrender.measure.limits import missed_limits
 
-    chosen = cases or CASES[target]
+    named = cases or CASES[target]
 
     def say(words: str) -> None:
         click.echo(words, err=True)
 
     if target == "prep":
-        rows = prep_bench.bench_prep(prep_bench.case_list(chosen), out, scans, say, plain)
+        rows = prep_bench.bench_prep(prep_bench.case_list(named), out, scans, say, plain)
         table = prep_bench.table_text(rows)
     elif target == "render":
-        views = render_bench.view_list(chosen)
+        views = chosen(named, render_bench.VIEWS)
         rows = render_bench.bench_render(views, out, say, asset, repeats)
         table = render_bench.render_text(rows)
     elif target == "flicker":
-        rows = flicker.bench_flicker(flicker.way_list(chosen), out, say, asset)
+        rows = flicker.bench_flicker(chosen(named, flicker.WAYS), out, say, asset)
         table = flicker.flicker_text(rows)
     else:
-        rows = fidelity.bench_fidelity(fidelity.fidelity_list(chosen), out, scans, say)
+        rows = fidelity.bench_fidelity(fidelity.fidelity_list(named), out, scans, say)
         table = fidelity.fidelity_text(rows)
     click.echo(json.dumps(rows, indent=2) if as_json else table)
     for sentence in missed_limits(rows):

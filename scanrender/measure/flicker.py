@@ -21,7 +21,6 @@ from scanrender.asset import load_asset
 from scanrender.buffers import Frame
 from scanrender.files import make_folder
 from scanrender.measure import tables
-from scanrender.measure.chosen import chosen
 from scanrender.measure.own_head import own_head
 from scanrender.measure.prep_bench import write_rows
 from scanrender.metrics import delta_e_2000_linear, summarize
@@ -46,11 +45,6 @@ FACING = 0.35  # cosine to the eye: where skin is turned away, a pixel's footpri
 BORDER_PX = 3
 
 
-def way_list(text: str) -> list[str]:
-    """`none,gaussian_sum`, or `all`. Raises UsageError for a way that does not exist."""
-    return chosen(text, WAYS)
-
-
 def bench_flicker(
     ways: Sequence[str],
     out: Path,
@@ -63,8 +57,8 @@ def bench_flicker(
     asset: a prepared folder; without it our own head. `overrides` change the turntable. Raises
     ScanrenderError's kinds.
     """
-    make_folder(out)
     loaded = load_asset(asset or own_head(out, say))
+    make_folder(out)
     rows: list[dict[str, Any]] = []
     for way in ways:
         pipeline = load_pipeline("turntable", (*STILL, *WAYS[way], *overrides))

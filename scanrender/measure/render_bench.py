@@ -17,7 +17,6 @@ from typing import Any
 from scanrender.asset import Asset, load_asset
 from scanrender.files import make_folder
 from scanrender.measure import tables
-from scanrender.measure.chosen import chosen
 from scanrender.measure.limits import Limits
 from scanrender.measure.own_head import own_head
 from scanrender.measure.prep_bench import write_rows
@@ -59,11 +58,6 @@ WAYS = (
 )  # fmt: skip
 
 
-def view_list(text: str) -> list[str]:
-    """`close,far`, or `all`. Raises UsageError for a view that does not exist."""
-    return chosen(text, VIEWS)
-
-
 def bench_render(
     views: Sequence[str],
     out: Path,
@@ -77,8 +71,8 @@ def bench_render(
     asset: a prepared folder; without it our own head, 1.1 M to 50 k triangles, prepared once into
     OUT/assets/own_head. `overrides` change the shot. Raises ScanrenderError's kinds.
     """
-    make_folder(out)
     loaded = load_asset(asset or own_head(out, say))
+    make_folder(out)
     gl = device()
     rows: list[dict[str, Any]] = []
     for view in views:

@@ -75,6 +75,7 @@ def test_a_turn_closes_and_is_written(tmp_path, gl):
     assert (tmp_path / "flicker.json").exists()
 
 
-def test_an_unknown_way_is_refused():
-    with pytest.raises(UsageError, match="no such case"):
-        flicker.way_list("all,none")
+def test_nothing_is_written_where_there_is_no_asset(tmp_path):
+    with pytest.raises(UsageError, match="no such asset"):
+        flicker.bench_flicker(["none"], tmp_path / "out", lambda words: None, tmp_path / "none")
+    assert not (tmp_path / "out").exists()

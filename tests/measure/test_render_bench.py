@@ -7,6 +7,7 @@ import pytest
 from scanrender.asset import save_asset
 from scanrender.errors import UsageError
 from scanrender.measure import render_bench
+from scanrender.measure.chosen import chosen
 from scanrender.measure.limits import missed_limits
 from tests.render.synthetic import sphere
 
@@ -73,7 +74,8 @@ def test_tables_have_a_column_a_view_and_leave_gaps(rows):
     assert "gbuffer" in render_bench.render_text(rows)
 
 
-def test_an_unknown_view_is_refused():
-    assert render_bench.view_list("all") == list(render_bench.VIEWS)
+def test_an_unknown_case_is_refused():
+    assert chosen("all", render_bench.VIEWS) == list(render_bench.VIEWS)
+    assert chosen(" far, close,", render_bench.VIEWS) == ["far", "close"]
     with pytest.raises(UsageError, match="no such case"):
-        render_bench.view_list("close,nearest")
+        chosen("close,nearest", render_bench.VIEWS)

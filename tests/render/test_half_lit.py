@@ -84,7 +84,12 @@ def test_without_the_measure_a_tilted_plane_is_wrong(
         print(f"\nedge on a plane tilted about {axis}, error at 30 and 60 deg:")
         for halo, *errors in rows:
             print(f"  {halo:15}" + "".join(f"{error:8.4f}" for error in errors))
-    assert all(row[2] > 2 * WITHIN for row in rows if row[0] != "measure")
+    at_60 = {halo: error for halo, _, error in rows}
+    assert all(at_60[halo] > 0.04 for halo in ("none", "cbf"))
+    # The depth correction narrows the kernel where skin is turned, by less than is right.
+    for halo in ("depth", "cbf_normalized"):
+        assert at_60["measure"] < at_60[halo] < at_60["none"]
+        assert at_60[halo] > WITHIN
 
 
 @pytest.mark.parametrize("supersampling", [2, 4])
