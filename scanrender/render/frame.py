@@ -15,7 +15,7 @@ from scanrender.buffers import CATALOGUE, Frame, buffer_spec
 from scanrender.errors import StageError, UsageError
 from scanrender.render.camera import Camera, frame_subject
 from scanrender.render.device import Device, bind
-from scanrender.render.graph import Graph, TexturePool
+from scanrender.render.graph import Graph, TexturePool, everywhere
 from scanrender.render.lamps import WIDEST_MAP_DEG
 from scanrender.render.passes import all_passes
 from scanrender.render.passes._scatter import largest_width_factor
@@ -88,7 +88,8 @@ class Renderer:
         tonemapped = self.graph.run(
             self.device, self.pool, shot, {"display"}, {"beauty": beauty}, timings
         )
-        pixels = {"beauty": self._read(beauty), "display": self._read(tonemapped["display"])}
+        display = self._read(tonemapped["display"], channels=3)
+        pixels = {"beauty": self._read(beauty), "display": display}
         self.pool.give_back(beauty)
         self.pool.give_back(tonemapped["display"])
         pixels.update(self._dump(shot, [n for n in buffers if n not in RESOLVED], timings))
@@ -110,9 +111,11 @@ class Renderer:
             target.use()
             self.device.context.enable(moderngl.BLEND)
             self.device.context.blend_func = moderngl.ONE, moderngl.ONE
+            target.scissor = shot.scissor  # beyond it radiance is 0
             bind(program, {"radiance": made["radiance"], "weight": 1.0 / len(offsets)})
             self.device.fill(program)
             self.pool.give_back(made["radiance"])
+        everywhere(target)
         return beauty
 
     def _dump(
@@ -159,14 +162,20 @@ class Renderer:
             self.decisions.append(Decision("guard band", reason))
         return min(math.ceil(reach), limit)
 
-    def _read(self, texture: moderngl.Texture, crop: bool = True) -> npt.NDArray[np.float32]:
-        """(h, w, c) float32, cropped to the picture, top row first: the only flip there is."""
-        width, height = texture.size
-        raw = np.frombuffer(texture.read(), np.float32).reshape(height, width, -1)[::-1]
-        if crop and self.guard_px:
-            g = self.guard_px
-            raw = raw[g:-g, g:-g]
-        return np.ascontiguousarray(raw)
+    def _read(
+        self, texture: moderngl.Texture, crop: bool = True, channels: int | None = None
+    ) -> npt.NDArray[np.float32]:
+        """(h, w, c) float32 of the picture alone, top row first: the only flip there is.
+
+        The guard band stays on the device: in a close view it is twice the picture.
+        """
+        guard = self.guard_px if crop else 0
+        width, height = texture.width - 2 * guard, texture.height - 2 * guard
+        raw = np.empty((height, width, channels or texture.components), np.float32)
+        source = self.pool.framebuffer([texture], depth=False)
+        window = (guard, guard, width, height)
+        source.read_into(raw, window, components=raw.shape[2], dtype="f4")
+        return raw[::-1]
 
     def _check_names(self, names: Collection[str]) -> None:
         known = self.buffer_names
@@ -179,8 +188,9 @@ class Renderer:
                 )
 
     def _check_finite(self, beauty: npt.NDArray[np.float32], view: View) -> None:
-        bad = ~np.isfinite(beauty).all(axis=2)
-        if bad.any():
+        # In float64 no picture's sum overflows: it is finite when each pixel is.
+        if not np.isfinite(beauty.sum(dtype=np.float64)):
+            bad = ~np.isfinite(beauty).all(axis=2)
             y, x = np.argwhere(bad)[0]
             raise StageError(
                 f"frame {view.index} has {int(bad.sum())} non-finite pixels in beauty",
@@ -219,7 +229,8 @@ def _family(name: str, order: dict[str, int]) -> int:
 def _channels(name: str, array: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     spec = buffer_spec(name)
     count = 1 if spec.kind == "scalar" else 3
-    if spec.premultiplied:
-        mask = array[:, :, 3:]
-        array = np.divide(array, mask, out=np.zeros_like(array), where=mask > 0.0)
-    return np.ascontiguousarray(array[:, :, :count])
+    values = array[:, :, :count]
+    if not spec.premultiplied:
+        return np.ascontiguousarray(values)
+    mask = array[:, :, 3:]
+    return np.divide(values, mask, out=np.zeros(values.shape, np.float32), where=mask > 0.0)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import moderngl
 
 from scanrender.render.device import bind
-from scanrender.render.graph import Buffer, Pass, everywhere
+from scanrender.render.graph import Buffer, Pass
 from scanrender.render.scene import Scene, Shot
 from scanrender.render.view import LOG2_RANGE, TABLE_SIZE
 
@@ -30,8 +30,10 @@ def passes(scene: Scene) -> list[Pass]:
                 "table_size": float(TABLE_SIZE),
             },
         )
-        # The background lies outside the subject's bounds.
-        everywhere(target)
+        # The background lies outside the subject's bounds, the guard band outside the picture.
+        width, height = shot.size
+        guard = shot.guard_px
+        target.scissor = guard, guard, width - 2 * guard, height - 2 * guard
         scene.device.fill(program)
 
     return [Pass("tonemap", ("beauty",), (Buffer("display"),), draw)]
