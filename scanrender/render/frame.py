@@ -45,7 +45,7 @@ class Renderer:
         self.scene = Scene(device, asset, self.pipeline)
         self.graph = Graph(all_passes(self.scene))
         self.pool = TexturePool(device)
-        self.decisions += _light_decisions(self.scene)
+        self.decisions += _light_decisions(self.scene) + _curvature_decisions(self.scene)
         self.camera = self._camera()
         self.guard_px = self._guard_px()
 
@@ -220,6 +220,14 @@ def _light_decisions(scene: Scene) -> list[Decision]:
         for lamp in scene.lamps
         if lamp.settings.shadow and not lamp.sees_all
     ]
+
+
+def _curvature_decisions(scene: Scene) -> list[Decision]:
+    asked, needed = scene.pipeline.curvature.smooth_mm, scene.baked_curvature_mm
+    if scene.pipeline.curvature.modulation == "none" or asked >= needed:
+        return []
+    reason = f"{needed:.1f} mm instead of {asked:g}: finer, it is that of the scan's triangles"
+    return [Decision("curvature.smooth_mm", reason)]
 
 
 def _family(name: str, order: dict[str, int]) -> int:

@@ -262,6 +262,14 @@ class Scene:
         notes = [stage.get("notes", {}) for stage in self.asset.info.get("stages", [])]
         return max((float(note.get("curvature_scale_mm") or 0.0) for note in notes), default=0.0)
 
+    @cached_property
+    def facet_mm(self) -> float:
+        """Standard deviation of the smoothing that triangles do: normals that are linear in one
+        have their curvature averaged over it, a box with a twelfth of its squared side."""
+        corners = self.asset.mesh.positions_mm[self.asset.mesh.faces].astype(np.float64)
+        sides = corners - np.roll(corners, 1, axis=1)
+        return float(np.sqrt(np.einsum("fij,fij->fi", sides, sides).mean() / 12.0))
+
     def _map(self, name: str) -> moderngl.Texture:
         pixels = self.asset.maps.get(name)
         if pixels is None:

@@ -36,8 +36,8 @@ SMALL = PrepSettings.model_validate(
     {
         "simplify": {"triangles": 20_000},
         "bake": {
-            "albedo_px": 2048, "normal_px": 1024, "data_px": 256,
-            "maps": ["albedo", "normal_ts", "skin"],
+            "albedo_px": 2048, "normal_px": 1024, "data_px": 512,
+            "maps": ["albedo", "normal_ts", "curvature", "skin"],
         },
         "report": "short",
     }

@@ -33,10 +33,14 @@ def passes(scene: Scene) -> list[Pass]:
 
 
 def _sigma_mm(scene: Scene) -> float:
-    """What is left to smooth: the bake has done its part, and variances add."""
-    curvature = scene.pipeline.curvature
-    done = scene.baked_curvature_mm if curvature.source == "baked" else 0.0
-    return math.sqrt(max(curvature.smooth_mm**2 - done**2, 0.0))
+    """What is left to smooth; variances add.
+
+    On screen, too, in all no less than what the bake found necessary to lose the scan's triangles
+    and noise: below it the curvature is that of facets, and differs from the baked one by a third.
+    """
+    curvature, needed = scene.pipeline.curvature, scene.baked_curvature_mm
+    done = needed if curvature.source == "baked" else scene.facet_mm
+    return math.sqrt(max(max(curvature.smooth_mm, needed) ** 2 - done**2, 0.0))
 
 
 def _step(scene: Scene, source: str, written: str, step: str, direction: tuple[int, int]) -> Pass:

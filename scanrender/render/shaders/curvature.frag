@@ -49,9 +49,9 @@ void main() {
         if (i == 0 || any(lessThan(at, ivec2(0))) || any(greaterThan(at, last))) continue;
         vec4 q = texelFetch(position, at, 0);
         float dz = q.z - p.z;
-        // Twice the variance: a slope of 45 degrees still counts, a silhouette does not.
+        // By the distance in space: across a silhouette nothing counts, on a slope the radius is the same.
         float w = q.a * exp(-0.5 * offset * offset / max(sigma * sigma, 1e-12)
-                            - dz * dz / max(4.0 * sigma_mm * sigma_mm, 1e-12));
+                            - dz * dz / max(2.0 * sigma_mm * sigma_mm, 1e-12));
         sum += w * texelFetch(source, at, 0).r;
         total += w;
     }
