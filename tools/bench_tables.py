@@ -1,8 +1,8 @@
 """Puts measured tables into docs: `python tools/bench_tables.py OUT/bench`.
 
 OUT/bench holds prep.json and fidelity.json, for docs/preparation.md, render.json and flicker.json,
-for docs/rendering.md, as `scanrender bench` wrote them; each may be missing. A page keeps what
-stands between its marks until it is given new figures.
+for docs/rendering.md, as `scanrender bench` wrote them; each may be missing. Frames of a GPU go into
+a table of their own. A page keeps what stands between its marks until it is given new figures.
 """
 
 from __future__ import annotations
@@ -48,8 +48,10 @@ def render_blocks(document: Document) -> dict[str, str]:
 
     rows = document["rows"]
     tables = [markdown(table) for table in render_tables(rows)]
-    device = f"{_machine(document)} GL: {rows[0]['renderer']}."
-    return {"render": "\n\n".join([device, *tables, _missed(rows)])}
+    renderer = rows[0]["renderer"]
+    device = f"{_machine(document)} GL: {renderer}."
+    block = "render" if "llvmpipe" in renderer else "render_gpu"
+    return {block: "\n\n".join([device, *tables, _missed(rows)])}
 
 
 def flicker_blocks(document: Document) -> dict[str, str]:

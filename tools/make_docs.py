@@ -196,7 +196,8 @@ scene makes. Each dump is one EXR with all layers and a PNG with a legend for ea
   along -Z, +Y up, in mm; `surface` belongs to the point seen; `light N` is seen from that light.
 - False-colour pictures use the range below where there is one, else the 0.5 and 99.5 percentiles.
 
-A picture looks wrong? [Which buffer to open](troubleshooting.md).
+The pictures are of our own head under `light/portrait`, as `scanrender run buffers` shows it
+(`tools/buffer_pictures.py`). A picture looks wrong? [Which buffer to open](troubleshooting.md).
 """
 
 
@@ -210,10 +211,11 @@ def buffers_page() -> str:
         span = "" if spec.span is None else f"{spec.span[0]:g} to {spec.span[1]:g}"
         space = f"`{spec.space}`" if "_" in spec.space else spec.space
         unit = "none" if spec.unit == "1" else spec.unit
-        rows.append(
-            (f"`{spec.name}`", spec.kind, space, unit, channels, span, spec.meaning, spec.healthy)
-        )
-    head = ("Buffer", "Kind", "Space", "Unit", "EXR", "Range", "What it holds", "A healthy one")
+        picture = f"![{spec.name}](images/buffers/{spec.name}.jpg)"
+        words = (f"`{spec.name}`", picture, spec.healthy, spec.meaning)
+        rows.append((*words, spec.kind, space, unit, channels, span))
+    words = ("Buffer", "", "A healthy one", "What it holds")
+    head = (*words, "Kind", "Space", "Unit", "EXR", "Range")
     return "\n".join([NOTICE + BUFFERS_INTRO, _markdown(head, rows)])
 
 
