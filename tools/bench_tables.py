@@ -1,7 +1,7 @@
 """Puts measured tables into docs: `python tools/bench_tables.py OUT/bench`.
 
 OUT/bench holds prep.json and fidelity.json, for docs/preparation.md, render.json and flicker.json,
-for docs/rendering.md, as `scanrender bench` wrote them; each may be missing. Frames of a GPU go into
+for docs/rendering.md, as `scanrender bench` wrote them; each may be missing. Frames of a GPU go to
 a table of their own. A page keeps what stands between its marks until it is given new figures.
 """
 
