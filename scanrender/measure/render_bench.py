@@ -47,6 +47,7 @@ WAYS = (
     Way("gaussian_sum", ("diffusion.method=gaussian_sum",), {"frame_ms": ("<=", 6000.0)}),
     Way("separable_preintegrated", (_FIRST,), {"frame_ms": ("<=", 2500.0)}),
     Way("separable_artistic", ("diffusion.method=separable_artistic",)),
+    Way("disk, 64 taps", ("diffusion.method=disk",)),
     # The improvements, one by one on the separable method.
     *(Way(f"halo: {mode}", (_FIRST, f"diffusion.halo={mode}"))
       for mode in ("none", "depth", "cbf", "cbf_normalized")),

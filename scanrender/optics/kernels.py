@@ -25,7 +25,8 @@ from scanrender.optics.profiles import DiffusionProfile
 from scanrender.optics.profiles._checks import MAX_LENGTH_MM, MIN_LENGTH_MM, checked_rgb
 
 MAX_SAMPLES = 1023
-MAX_DISK_SAMPLES = 1 << 20
+# Of the numerical integrals over rings of a disk.
+_RING_STEPS = 1 << 16
 
 #: Angle between successive samples of a sunflower, pi (3 - sqrt 5): no two arms line up.
 GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
@@ -59,17 +60,16 @@ class SeparableTaps:
 
 
 @dataclass(frozen=True, eq=False)
-class DiskSamples:
-    """Points on a disk, (n,) each, inside out, drawn from one channel of a profile.
+class DiskTaps:
+    """Points on a disk, inside out, each for a ring of the profile.
 
-    ``radius_mm`` ascends, ``angle_rad`` is in [0, 2 pi), ``pdf_per_mm`` is the density p(r) of
-    the radius (the density per area is p / (2 pi r)), ``channel`` 0, 1 or 2 says whose it is.
+    ``radius_mm`` (n,) ascends, ``angle_rad`` (n,) is in [0, 2 pi), ``weights`` (n, 3) are each
+    channel's energy in the ring: every column sums to 1.
     """
 
     radius_mm: Array
     angle_rad: Array
-    pdf_per_mm: Array
-    channel: int
+    weights: Array
 
 
 def gaussian_taps(samples: int, extent_sigma: float = 3.0) -> Taps1D:
@@ -227,32 +227,32 @@ def tap_positions(samples: int, extent_mm: float, spacing: Spacing) -> tuple[Arr
     return offsets, 0.5 * (offsets[1:] + offsets[:-1])
 
 
-def disk_samples(profile: DiffusionProfile, n: int, inner_radius_mm: float = 0.0) -> DiskSamples:
-    """Return ``n`` (1 to 2^20) golden-angle disk samples drawn from the widest channel's CDF.
+def disk_taps(profile: DiffusionProfile, n: int) -> DiskTaps:
+    """Return ``n`` (1 to 1023) golden-angle taps, each for a ring that holds 1/n of the mean of the
+    channels' energy.
 
-    The widest channel (largest 99.9 % radius) is drawn so that no channel asks for light where
-    there are no samples. Radii invert its CDF at u = (i + 0.5) / n, never at 0 or 1, where the
-    radius would be 0 or infinite. With ``inner_radius_mm`` > 0, u starts at the CDF there:
-    what lies inside belongs to the centre pixel, which is weighted analytically. Raises
-    ConfigError for n out of range or an inner radius that leaves nothing outside.
+    Drawn from the widest channel alone, a narrow one meets a few taps by chance; of the mean each
+    channel has its share of them. A tap's weights are exact ring integrals and it stands at the
+    ring's root mean square radius, so that a constant stays constant and the variance is that of
+    the profile. Raises ConfigError for n out of range.
     """
-    _check_samples(n, MAX_DISK_SAMPLES)
-    channel = int(np.argmax(profile.radius_for(0.999)))
-    inside = float(profile.cdf(max(inner_radius_mm, 0.0))[channel])
-    outside = 1.0 - inside
-    if not outside > 1e-9:
-        raise ConfigError(
-            f"all of the profile lies within {inner_radius_mm:g} mm",
-            "inner_radius_mm",
-            "draw no disk there: the centre pixel holds everything",
-        )
-    index = np.arange(n, dtype=np.float64)
-    radius_mm = profile.radius_for(inside + outside * (index + 0.5) / n)[:, channel]
-    return DiskSamples(
-        radius_mm=_frozen(radius_mm),
-        angle_rad=_frozen(np.mod(index * GOLDEN_ANGLE_RAD, 2.0 * math.pi)),
-        pdf_per_mm=_frozen(profile.radial_pdf(radius_mm)[:, channel] / outside),
-        channel=channel,
+    _check_samples(n, MAX_SAMPLES)
+    reach = float(profile.radius_for(1.0 - 1e-6).max())
+    # Finer where the narrow channels are: their rings are micrometres wide.
+    r = reach * np.linspace(0.0, 1.0, _RING_STEPS) ** 3
+    energy = profile.cdf(r)
+    mean = energy.mean(axis=1)
+    borders = np.interp(np.arange(1, n) / n, mean, r)
+    inner = profile.cdf(np.concatenate([[0.0], borders]))
+    weights = np.diff(np.concatenate([inner, np.ones((1, 3))]), axis=0)
+    ring = np.searchsorted(borders, 0.5 * (r[1:] + r[:-1]))
+    mass = np.diff(mean)
+    square = np.bincount(ring, mass * (0.5 * (r[1:] + r[:-1])) ** 2, n)
+    total = np.maximum(np.bincount(ring, mass, n), 1e-300)
+    return DiskTaps(
+        radius_mm=_frozen(np.sqrt(square / total)),
+        angle_rad=_frozen(np.mod(np.arange(n) * GOLDEN_ANGLE_RAD, 2.0 * math.pi)),
+        weights=_frozen(weights),
     )
 
 

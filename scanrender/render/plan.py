@@ -83,7 +83,11 @@ def _with_diffusion_that_can_be(pipeline: Pipeline, decisions: list[Decision]) -
     if diffusion.limit == "lab" and diffusion.limit_floor == 1.0:
         decisions.append(Decision("diffusion.limit", "its floor is 1, so nothing is limited"))
         updates["limit"] = "none"
-    if diffusion.halo == "cbf" and diffusion.edge_contrast == 0.0:
+    if diffusion.method == "disk":
+        reason = "the disk measures distance and area on the surface itself"
+        decisions.append(Decision("diffusion.halo", reason))
+        updates["halo"] = "none"
+    elif diffusion.halo == "cbf" and diffusion.edge_contrast == 0.0:
         decisions.append(Decision("diffusion.halo", "edge_contrast is 0, so no tap is held back"))
         updates["halo"] = "none"
     elif diffusion.halo == "cbf_normalized" and diffusion.edge_contrast == 0.0:

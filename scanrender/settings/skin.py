@@ -123,14 +123,15 @@ class ArtisticKernel(Section):
 class DiffusionSettings(Section):
     """The algorithm that scatters light below the surface, in screen space."""
 
-    method: Literal["none", "gaussian_sum", "separable_preintegrated", "separable_artistic"] = (
-        setting(
-            "gaussian_sum",
-            "`gaussian_sum` blurs once for each Gaussian of the profile; the separable ones blur "
-            "once: with the profile's own line integral, or with two Gaussians. `none` leaves "
-            "plain diffuse reflection, for comparison.",
-            unit="",
-        )
+    method: Literal[
+        "none", "gaussian_sum", "separable_preintegrated", "separable_artistic", "disk"
+    ] = setting(
+        "gaussian_sum",
+        "`gaussian_sum` blurs once for each Gaussian of the profile; the separable ones blur "
+        "once: with the profile's own line integral, or with two Gaussians. `disk` sums up the "
+        "surface around each point, by distances and areas on it: `halo` does not apply. `none` "
+        "leaves plain diffuse reflection, for comparison.",
+        unit="",
     )
     samples: int = setting(
         17,
@@ -138,6 +139,13 @@ class DiffusionSettings(Section):
         unit="taps",
         ge=3,
         le=255,
+    )
+    disk_taps: int = setting(64, "Taps of `disk`, in all.", unit="taps", ge=4, le=1023)
+    normalize: Literal["visible", "none"] = setting(
+        "visible",
+        "For `disk`: the mean over what the picture shows of the surface, or the plain sum, which "
+        "is darker where part of the surround is hidden.",
+        unit="",
     )
     artistic: ArtisticKernel = ArtisticKernel()
     jitter: bool = setting(

@@ -13,7 +13,7 @@ from scipy.stats import norm
 from scanrender.errors import ConfigError
 from scanrender.optics.kernels import (
     discrete_gaussian_taps,
-    disk_samples,
+    disk_taps,
     falloff_per_mm2,
     footprint_taps,
     gaussian_taps,
@@ -203,32 +203,33 @@ def test_falloff_is_how_the_marginal_falls_with_depth():
 
 
 @PROFILES
-@pytest.mark.parametrize("inner_mm", [0.0, 0.3])
-def test_disk_estimates_integrals_of_the_profile(profile, inner_mm):
-    disk = disk_samples(profile, 4096, inner_mm)
-    assert disk.channel == 0
+@pytest.mark.parametrize("count", [4, 64, 1023])
+def test_disk_has_the_energy_and_the_variance_of_the_profile(profile, count):
+    disk = disk_taps(profile, count)
     assert np.all(np.diff(disk.radius_mm) > 0.0)
-    assert disk.radius_mm[0] > inner_mm
-    # weights of every channel, not just the one drawn, sum to what lies outside
-    weights = profile.radial_pdf(disk.radius_mm) / disk.pdf_per_mm[:, None]
-    np.testing.assert_allclose(weights.mean(axis=0), 1.0 - profile.cdf(inner_mm), atol=2e-3)
-    x = disk.radius_mm * np.cos(disk.angle_rad)
-    y = disk.radius_mm * np.sin(disk.angle_rad)
-    spread = float(np.mean(weights[:, 1] * (x * x + y * y)))
+    np.testing.assert_allclose(disk.weights.sum(axis=0), 1.0, atol=1e-12)
+    np.testing.assert_allclose(disk.weights.mean(axis=1), 1.0 / count, rtol=0.01)
+    # of the channels' mean: one radius a ring cannot be right for each of them
+    square = (disk.weights.mean(axis=1) * disk.radius_mm**2).sum()
+    assert square == pytest.approx(np.mean(np.square(profile.rms_radius_mm)), rel=0.01)
+
+
+def test_a_narrow_channel_has_taps_of_its_own():
+    """Drawn from the widest, blue would meet 5 of 64 within its own reach."""
+    disk = disk_taps(D_EON_SKIN, 64)
+    assert (disk.radius_mm < D_EON_SKIN.radius_for(0.5)[2]).sum() >= 16
+
+
+@PROFILES
+def test_disk_leans_to_no_side(profile):
+    disk = disk_taps(profile, 1023)
+    x, y = (disk.radius_mm * f(disk.angle_rad) for f in (np.cos, np.sin))
+    weights = disk.weights[:, 1]
+    spread = float((weights * (x * x + y * y)).sum())
     for odd_moment in (x, y, x * y, x * x - y * y):
-        assert abs(float(np.mean(weights[:, 1] * odd_moment))) < 0.05 * spread + 0.01
-
-
-def test_disk_radii_are_quantiles():
-    disk = disk_samples(BURLEY, 4)
-    expected = BURLEY.radius_for([0.125, 0.375, 0.625, 0.875])[:, 0]
-    np.testing.assert_allclose(disk.radius_mm, expected, rtol=1e-12)
+        assert abs(float((weights * odd_moment).sum())) < 0.05 * spread + 0.01
     step = np.diff(disk.angle_rad) % (2 * math.pi)
     np.testing.assert_allclose(step, math.pi * (3 - math.sqrt(5)), atol=1e-12)
-
-
-def test_the_widest_channel_is_drawn():
-    assert disk_samples(Burley((0.2, 0.3, 0.7)), 2).channel == 2
 
 
 @pytest.mark.parametrize(
@@ -248,8 +249,8 @@ def test_the_widest_channel_is_drawn():
         lambda: footprint_taps([1.0], 0),
         lambda: footprint_taps([math.nan], 3),
         lambda: discrete_gaussian_taps([1.0], 65),
-        lambda: disk_samples(D_EON_SKIN, 0),
-        lambda: disk_samples(D_EON_SKIN, 8, 1e3),
+        lambda: disk_taps(D_EON_SKIN, 0),
+        lambda: disk_taps(D_EON_SKIN, 1024),
     ],
 )
 def test_bad_requests_are_refused(call):

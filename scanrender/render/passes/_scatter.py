@@ -32,14 +32,17 @@ class WeightDraw:
 def switches(scene: Scene) -> tuple[str, ...]:
     """The `#define`s of this scene's diffusion."""
     diffusion = scene.pipeline.diffusion
+    # The disk measures distance and area itself, and needs what `measure` needs for it.
+    disk = diffusion.method == "disk"
     # The paper uses its normalized guide along with the depth correction, and Mikkelsen's alone.
     on = {
         "HALO_DEPTH": diffusion.halo in ("depth", "cbf_normalized"),
-        "HALO_MEASURE": diffusion.halo == "measure",
+        "HALO_MEASURE": disk or diffusion.halo == "measure",
         "GUIDE_EDGE": diffusion.halo in EDGE_GUIDED,
         "GUIDE_LAB": diffusion.limit == "lab",
         "CURVATURE": scene.pipeline.curvature.modulation != "none",
         "JITTER": diffusion.jitter,
+        "MISSING_MASS": disk and diffusion.normalize == "none",
     }
     return tuple(name for name, used in on.items() if used)
 

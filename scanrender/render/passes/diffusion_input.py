@@ -12,7 +12,8 @@ from scanrender.render.scene import Scene, Shot
 
 
 def passes(scene: Scene) -> list[Pass]:
-    by_area = scene.pipeline.diffusion.halo == "measure"
+    diffusion = scene.pipeline.diffusion
+    by_area = diffusion.halo == "measure" and diffusion.method != "disk"
     reads = ("irradiance", "albedo", "skin", *(["jacobian", "depth_mm"] if by_area else []))
 
     def draw(

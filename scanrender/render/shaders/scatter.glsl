@@ -8,6 +8,7 @@
 //   GUIDE_LAB     floor + (1 - floor) exp(-dE^2 / 2s^2), eq. 9 as it must read: weights times I_q
 //   CURVATURE     the kernel's width depends on the curvature
 //   JITTER        taps move inside their cells, by pixel and sample index only
+//   MISSING_MASS  what the picture hides is not made up for: sums are left as they are
 //   WEIGHTS       weight_sum and rejected are written instead of light
 // Sums are normalized by the mask that was met, and premultiplied again by the pixel's own.
 #include "screen.glsl"
@@ -210,7 +211,11 @@ void finish() {
     const float KEEP = 1e-5;
     sum += KEEP * centre.rgb;
     total += WEIGHT(KEEP * centre.a);
+#ifdef MISSING_MASS
+    scattered = vec4(sum * centre.a, centre.a);
+#else
     scattered = vec4(sum * (centre.a / max(total, WEIGHT(1e-12))), centre.a);
+#endif
 #endif
 }
 

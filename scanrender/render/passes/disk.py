@@ -1,0 +1,77 @@
+"""disk: the surface integral itself, over a disk of taps in the tangent plane of each pixel."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import moderngl
+import numpy as np
+
+from scanrender.optics.kernels import disk_taps
+from scanrender.optics.profiles import GaussianSum
+from scanrender.render.device import bind
+from scanrender.render.graph import Buffer, Pass
+from scanrender.render.passes._scatter import WeightDraw, guides, switches, uniforms, weight_pass
+from scanrender.render.scene import Scene, Shot
+
+TABLE_TEXELS = 1024
+GOLDEN_RATIO = 0.5 * (1.0 + math.sqrt(5.0))
+PLASTIC = (0.7548776662466927, 0.5698402909980532)  # of the R2 sequence (Roberts 2018)
+TABLE_ENERGY = 1.0 - 1e-9  # of the widest channel lies within the table
+
+
+def passes(scene: Scene) -> list[Pass]:
+    diffusion = scene.pipeline.diffusion
+    if diffusion.method != "disk":
+        return []
+    taps = scene.device.table(_taps(scene.scattering, diffusion.disk_taps))
+    reach_mm = float(scene.scattering.radius_for(TABLE_ENERGY).max())
+    profile = scene.device.table(_log_profile(scene.scattering, reach_mm), linear=True)
+    common: dict[str, Any] = {
+        "taps": taps,
+        "tap_count": diffusion.disk_taps,
+        "profile": profile,
+        "profile_reach_mm": reach_mm,
+    }
+
+    def draw(
+        shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
+    ) -> None:
+        program = scene.device.program("disk", defines=switches(scene))
+        shared = uniforms(scene, shot, inputs, "diffusion_input", (1, 0))
+        bind(program, {**shared, **common, "turn": _turn(shot.sample)})
+        scene.device.fill(program)
+
+    def draws(shot: Shot) -> list[WeightDraw]:
+        return [WeightDraw((1, 0), {**common, "turn": _turn(shot.sample)}, (1.0, 1.0, 1.0), 1.0)]
+
+    reads = ("diffusion_input", *guides(scene))
+    return [
+        weight_pass(scene, draws, "disk"),
+        Pass("scattered", reads, (Buffer("scattered"),), draw),
+    ]
+
+
+def _turn(sample: int) -> float:
+    """Radians that the disk is turned by for one supersample, so that they share no tap."""
+    return math.tau * math.fmod(sample * GOLDEN_RATIO, 1.0)
+
+
+def _taps(profile: GaussianSum, count: int) -> Any:
+    """(2, n, 4): RGB weight and radius in mm; then cosine and sine of the angle, and where in the
+    pixel the tap begins, in px from its centre."""
+    disk = disk_taps(profile, count)
+    table = np.zeros((2, count, 4))
+    table[0] = np.hstack([disk.weights, disk.radius_mm[:, None]])
+    table[1, :, 0], table[1, :, 1] = np.cos(disk.angle_rad), np.sin(disk.angle_rad)
+    table[1, :, 2:] = np.mod(np.outer(np.arange(count), PLASTIC), 1.0) - 0.5
+    return table
+
+
+def _log_profile(profile: GaussianSum, reach_mm: float) -> Any:
+    """(1, TABLE_TEXELS, 3): ln R(r), texels at u = sqrt(r / reach) in [0, 1]: fine at the centre,
+    where the profile is narrower than the rest by a factor of a hundred."""
+    u = np.linspace(0.0, 1.0, TABLE_TEXELS)
+    return np.log(np.maximum(profile.R(reach_mm * u * u), 1e-300))[None]
