@@ -10,13 +10,14 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from scanrender.buffers import Frame
+from scanrender.measure.bands import border_band, step_band
 from scanrender.metrics import delta_e_2000_linear, energy_ratio
 
 Array = npt.NDArray[Any]
 Mask = npt.NDArray[np.bool_]
 
 DETAIL_PX = 2.0  # Gaussian below which a structure counts as high frequency
-STEP_MM, STEP_BAND_MM = 5.0, 1.5  # a depth step between neighbouring pixels, its surroundings
+STEP_BAND_MM = 1.5  # the surroundings of a depth step
 STEP_BAND_PX = 4  # where the picture's scale is not known
 BORDER_PX = 3  # a border's band, to either side
 HARD_SPACE = "\N{NO-BREAK SPACE}"
@@ -88,7 +89,7 @@ def border_contrast(frame: Frame, first: Frame, shown: str) -> dict[str, float]:
     skin = frame.buffers["skin"]
     skin = skin[:, :, 0] if skin.ndim == 3 else skin
     inside = ndimage.binary_erosion(frame.alpha >= 1.0, iterations=2 * BORDER_PX)
-    border = _near(skin > 0.5) & inside
+    border = border_band(skin > 0.5, inside, BORDER_PX)
     smooth = inside & ~ndimage.binary_dilation(border, iterations=2 * BORDER_PX)
     return {
         "at_borders": float(gradient[border].mean()) if border.any() else 0.0,
@@ -110,12 +111,9 @@ def silhouette_leak(frame: Frame, first: Frame, shown: str) -> float:
     depth = frame.buffers["depth_mm"]
     depth = depth[:, :, 0] if depth.ndim == 3 else depth
     inside = frame.alpha >= 1.0
-    deep = ndimage.maximum_filter(np.where(inside, depth, -np.inf), 3)
-    shallow = ndimage.minimum_filter(np.where(inside, depth, np.inf), 3)
-    step = inside & (deep - shallow > STEP_MM)
     scale = frame.info.get("px_per_mm")
     reach = max(1, round(STEP_BAND_MM * scale)) if scale else STEP_BAND_PX
-    band = (ndimage.distance_transform_edt(~step) <= reach) & inside if step.any() else step
+    band = step_band(depth, inside, reach)
     if not band.any():
         return 0.0
     moved = np.abs(frame.buffers["diffuse"] - first.buffers["diffuse"])[band]
@@ -130,11 +128,6 @@ def transmitted(frame: Frame, first: Frame, shown: str) -> float:
     light = float((frame.buffers["beauty"][inside] @ LUMINANCE).sum())
     through = float((frame.buffers["transmission"][inside] @ LUMINANCE).sum())
     return through / max(light, 1e-12)
-
-
-def _near(mask: Mask) -> Mask:
-    grown = ndimage.binary_dilation(mask, iterations=BORDER_PX)
-    return np.asarray(grown & ~ndimage.binary_erosion(mask, iterations=BORDER_PX, border_value=1))
 
 
 def _subject(frame: Frame, first: Frame) -> Mask:
