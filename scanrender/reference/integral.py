@@ -75,8 +75,11 @@ def lobe_sums(
     tree = cKDTree(samples.position, balanced_tree=False, compact_nodes=False)
     order, starts = _blocks(position, _BLOCK_SIGMAS * math.sqrt(variance))
     reach = reach_mm(variance, tail)
-    columns = np.column_stack([samples.source, samples.mass])
+    # One row a cell, so that a block gathers memory once.
     sheet = sheet_of_face[samples.face]
+    table = np.column_stack(
+        [samples.position, samples.source, samples.mass, samples.seen, sheet.astype(np.float64)]
+    )
 
     def work(job: int) -> LobeSums:
         edges = np.linspace(0, len(starts) - 1, jobs + 1).astype(np.int64)
@@ -93,18 +96,22 @@ def lobe_sums(
         radius = float(np.sqrt(np.sum((at - middle) ** 2, axis=1).max()))
         near = np.asarray(tree.query_ball_point(middle, reach + radius), np.int64)
         near.sort()  # the tree's order is no contract, and sums depend on it in the last digits
-        cells = samples.position[near] - middle
-        values, seen, cell_sheet = columns[near], samples.seen[near], sheet[near]
+        rows = table[near]
+        cells, values = rows[:, :3] - middle, np.ascontiguousarray(rows[:, 3:7])
+        seen, cell_sheet = rows[:, 7], rows[:, 8]
+        labels = np.unique(at_label)
+        is_whole = len(labels) == 1 and bool(np.all((cell_sheet == labels[0]) & (seen == 1.0)))
         whole, own = np.empty((len(at), 4)), np.empty((len(at), 4))
         step = max(1, _DENSE_ENTRIES // max(len(near), 1))
         for start in range(0, len(at), step):
             cut = slice(start, start + step)
             kernel = _gaussian(at[cut] - middle, cells, variance)
             whole[cut] = kernel @ values
-            for one in np.unique(at_label[cut]):
-                rows = at_label[cut] == one
+            for one in () if is_whole else labels:
+                mine = at_label[cut] == one
                 weight = np.where(cell_sheet == one, seen, 0.0)[:, None]
-                own[cut][rows] = kernel[rows] @ (values * weight)
+                own[cut][mine] = kernel[mine] @ (values * weight)
+        own = whole if is_whole else own
         return LobeSums(whole[:, :3], whole[:, 3], own[:, :3], own[:, 3])
 
     jobs = max(1, min(_JOBS, len(starts) - 1))

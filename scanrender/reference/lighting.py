@@ -28,9 +28,13 @@ from scanrender.settings.skin import SpecularSettings
 
 # The renderer's table, and its reading: linear between 64 centres, constant past the ends.
 _RHO_COSINES = (np.arange(64) + 0.5) / 64
-GOLDEN_ANGLE_RAD = 2.39996322972865
+_R2 = (0.7548776662466927, 0.5698402909980532)
 # Past the rounding of Embree's float32 at a metre from the origin.
 _LEAVE_MM = 1e-3
+# A shadow's edge is looked for this far above the skin, in widths of the edge, and ends before it
+# meets the skin again.
+_ABOVE_EDGES = 0.03
+_SHORT_OF_HIT = 0.95
 
 
 @dataclass(frozen=True)
@@ -100,8 +104,11 @@ class Lighting:
         """1 - rho_dt(cosine), any shape: what is not reflected on its way in or out."""
         return np.asarray(1.0 - np.interp(np.clip(cosine, 0.0, 1.0), _RHO_COSINES, self._rho))
 
-    def irradiance(self, at: Geometry, open_sky: Array, caster: Caster) -> Array:
+    def irradiance(
+        self, at: Geometry, open_sky: Array, caster: Caster, least_rays: int = 1
+    ) -> Array:
         """(k, 3) at k points; ``open_sky`` (k,) is their ambient visibility."""
+        rays = max(self.shadow_rays, least_rays)
         mean_rho = float(np.average(self._rho, weights=_RHO_COSINES))
         total = open_sky[:, None] * self.ambient * (1.0 - mean_rho)
         for lamp in self.lamps:
@@ -111,7 +118,7 @@ class Lighting:
             if lamp.casts_shadow:
                 share *= _horizon(at, way)
                 seen = np.flatnonzero(share > 0.0)
-                share[seen] *= _visibility(lamp, at, seen, caster, self.shadow_rays)
+                share[seen] *= _visibility(lamp, at, seen, caster, rays)
             total = total + share[:, None] * lamp.incident(at.position)
         return np.asarray(total)
 
@@ -130,22 +137,22 @@ def _visibility(lamp: Lamp, at: Geometry, seen: Array, caster: Caster, rays: int
     """Share of the lamp's disk seen from points number ``seen`` (j,)."""
     start, normal = at.lifted[seen], at.geometric[seen]
     start = start + _LEAVE_MM * normal
-    if lamp.size == 0.0 and lamp.edge_mm == 0.0:
-        rays = 1
-    # A turn of its own for each point, from where it lies: the same in every run and process.
-    turn = 2.0 * np.pi * np.mod(np.abs(start @ np.array([12.9898, 78.233, 37.719])), 1.0)
+    is_soft = lamp.size > 0.0 or lamp.edge_mm > 0.0
+    rays = rays if is_soft else 1
     total = np.zeros(len(seen))
     for number in range(rays):
-        radius = np.sqrt((number + 0.5) / rays) if rays > 1 else 0.0
-        angle = turn + number * GOLDEN_ANGLE_RAD
-        offset = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        origin, way, reach = _shadow_ray(lamp, start, normal, offset)
+        # Martin Roberts' R2 sequence over neighbouring points and their rays: few cover the disk.
+        index = np.arange(len(seen)) * rays + number
+        radius = np.sqrt(np.mod(0.5 + index * _R2[0], 1.0)) * is_soft
+        angle = 2.0 * np.pi * np.mod(index * _R2[1], 1.0)
+        offset = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        origin, way, reach = _shadow_ray(lamp, start, normal, offset, caster)
         total += ~caster.is_blocked(origin, way, reach)
     return total / rays
 
 
 def _shadow_ray(
-    lamp: Lamp, start: Array, normal: Array, offset: Array
+    lamp: Lamp, start: Array, normal: Array, offset: Array, caster: Caster
 ) -> tuple[Array, Array, float | Array]:
     """Origin, direction and reach of a ray to point ``offset`` (j, 2) of the lamp's unit disk.
 
@@ -158,16 +165,27 @@ def _shadow_ray(
     if lamp.size > 0.0 and lamp.distance_mm == 0.0:
         return start, unit(way + lamp.size * aside), np.inf
     if lamp.size == 0.0 and lamp.edge_mm > 0.0:
-        slope = np.einsum("ki,ki->k", aside, normal)
-        facing = np.maximum(np.einsum("ki,ki->k", way, normal), 0.05)
-        start = start + lamp.edge_mm * (aside - way * (slope / facing)[:, None])
-        # A hollow rises above its tangent plane: 0.1 clears one of 10 mm radius at a 1.5 mm edge.
-        lift = 0.1 * lamp.edge_mm * np.linalg.norm(offset, axis=1, keepdims=True)
-        start = start + lift * normal
+        start = _aside(lamp, start, normal, way, aside, caster)
     if lamp.distance_mm == 0.0:
         return start, np.asarray(way), np.inf
     middle = lamp.distance_mm * lamp.to_light + lamp.size * aside
     return start, unit(middle - start), np.linalg.norm(middle - start, axis=1)
+
+
+def _aside(
+    lamp: Lamp, start: Array, normal: Array, way: Array, aside: Array, caster: Caster
+) -> Array:
+    """(j, 3) starts moved along the surface by the width of the shadow's edge.
+
+    A disk across the light, made narrower along the slope as `visibility.frag` does, and no
+    further than to where the surface rises: beyond, the ray would start under the skin.
+    """
+    slope = np.einsum("ki,ki->k", aside, normal)[:, None]
+    step = lamp.edge_mm * (aside - slope * normal)
+    length = np.maximum(np.linalg.norm(step, axis=1), 1e-12)
+    above = start + _ABOVE_EDGES * lamp.edge_mm * normal
+    free = caster.clear_mm(above, step / length[:, None], length)
+    return above + step * (_SHORT_OF_HIT * free / length)[:, None]
 
 
 def frame(way: Array) -> tuple[Array, Array]:

@@ -59,6 +59,15 @@ class Caster:
             result[cut] = self._scene.run(start, ways, reaches) >= 0
         return result
 
+    def clear_mm(self, origin_mm: Array, direction: Array, reach_mm: Array) -> Array:
+        """(k,) how far each ray goes before it hits, at most ``reach_mm`` (k,)."""
+        result = np.zeros(len(origin_mm))
+        for cut, ways, reaches in _chunks(origin_mm, direction, reach_mm):
+            start = np.ascontiguousarray(origin_mm[cut], np.float32)
+            found = self._scene.run(start, ways, reaches, output=True)
+            result[cut] = np.where(found["primID"] >= 0, found["tfar"], reach_mm[cut])
+        return result
+
 
 def _chunks(origin_mm: Array, direction: Array, reach_mm: float | Array) -> Any:
     count = len(origin_mm)

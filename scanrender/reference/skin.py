@@ -23,6 +23,8 @@ from scanrender.settings.pipeline import Pipeline
 _ALBEDO_POWER = {"pre": 1.0, "mixed": 0.5, "post": 0.0}
 _NEUTRAL_ALBEDO = 0.5
 _CHUNK = 50_000
+# To a light with a size from a point whose own light is shown: nothing else averages it.
+_PICTURE_RAYS = 16
 
 
 @dataclass(frozen=True)
@@ -119,7 +121,9 @@ class SkinField:
             at = Geometry(at.position, normal, shading, at.lifted, at.uv)
             albedo = np.where(back[:, None], self.inside_albedo, albedo)
             skin = np.where(back, 0.0, skin)
-        light = self.lighting.irradiance(at, self._map("ao", at), self.surface.caster)
+        light = self.lighting.irradiance(
+            at, self._map("ao", at), self.surface.caster, least_rays=_PICTURE_RAYS
+        )
         cosine = np.einsum("ki,ki->k", at.shading, camera.to_eye(at.position))
         leaving = self.lighting.passes(cosine)[:, None] * albedo ** (1.0 - self.albedo_power)
         return Shading(light * albedo**self.albedo_power, leaving, skin)

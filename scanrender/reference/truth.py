@@ -48,14 +48,14 @@ class TruthQuality:
     ``spacing_mm``: side of the finest samples of the whole surface. ``cells_per_sigma``: cells a
     Gaussian's width, over which finer samples are averaged. ``disc_nodes``: nodes a point for a
     Gaussian narrower than 3 spacings. ``tail``: energy of a Gaussian that is left out.
-    ``shadow_rays``: rays to a light that has a size, a sample.
+    ``shadow_rays``: rays a sample to a light whose shadows have a soft edge.
     """
 
     spacing_mm: float = 0.25
     cells_per_sigma: float = 4.0
     disc_nodes: int = 16
     tail: float = 1e-4
-    shadow_rays: int = 4
+    shadow_rays: int = 2
 
     def __post_init__(self) -> None:
         if not 1e-3 <= self.spacing_mm <= 10.0:
@@ -69,7 +69,7 @@ class TruthQuality:
             cells_per_sigma=2.0 * self.cells_per_sigma,
             disc_nodes=4 * self.disc_nodes,
             tail=0.1 * self.tail,
-            shadow_rays=4 * self.shadow_rays,
+            shadow_rays=2 * self.shadow_rays,
         )
 
     def is_sampled(self, variance_mm2: float) -> bool:
