@@ -111,7 +111,9 @@ def disc_rule(nodes: int) -> tuple[Array, Array]:
     return np.concatenate(offsets), total / total.sum()
 
 
-def _summed(owner: np.ndarray[tuple[int, ...], np.dtype[np.int64]], rows: Array, count: int) -> Array:
+def _summed(
+    owner: np.ndarray[tuple[int, ...], np.dtype[np.int64]], rows: Array, count: int
+) -> Array:
     """(count, c): rows (j, c) added to their owners (j,)."""
     sums = [np.bincount(owner, column, count) for column in rows.T]
     return np.stack(sums, axis=1)

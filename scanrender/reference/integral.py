@@ -133,9 +133,7 @@ def _gaussian(at: Array, cells: Array, variance: float) -> Array:
     return exponent
 
 
-def _blocks(
-    position: Array, side_mm: float
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _blocks(position: Array, side_mm: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Order of points by the cube they lie in, and where each cube starts, with the end."""
     cube = np.floor(position / side_mm).astype(np.int64)
     order = np.lexsort((cube[:, 0], cube[:, 1], cube[:, 2]))

@@ -13,7 +13,7 @@ import numpy as np
 from scanrender.errors import ConfigError
 from scanrender.optics._math import Array
 from scanrender.optics.surface import SpecularLobes
-from scanrender.reference.rays import Caster
+from scanrender.reference.rays import Caster, Faces
 from scanrender.reference.surface import Geometry, unit
 from scanrender.settings.light import (
     AmbientLight,
@@ -114,7 +114,7 @@ class Lighting:
         for lamp in self.lamps:
             way = lamp.direction(at.position)
             cosine = np.einsum("ki,ki->k", at.shading, way)
-            share = np.where(cosine > 0.0, cosine * self.passes(cosine), 0.0)
+            share: Array = np.where(cosine > 0.0, cosine * self.passes(cosine), 0.0)
             if lamp.casts_shadow:
                 share *= _horizon(at, way)
                 seen = np.flatnonzero(share > 0.0)
@@ -133,7 +133,7 @@ def _horizon(at: Geometry, way: Array) -> Array:
     return np.where(lit, g * (1.0 + g * (1.0 - g)), 0.0)
 
 
-def _visibility(lamp: Lamp, at: Geometry, seen: Array, caster: Caster, rays: int) -> Array:
+def _visibility(lamp: Lamp, at: Geometry, seen: Faces, caster: Caster, rays: int) -> Array:
     """Share of the lamp's disk seen from points number ``seen`` (j,)."""
     start, normal = at.lifted[seen], at.geometric[seen]
     start = start + _LEAVE_MM * normal
@@ -185,7 +185,7 @@ def _aside(
     length = np.maximum(np.linalg.norm(step, axis=1), 1e-12)
     above = start + _ABOVE_EDGES * lamp.edge_mm * normal
     free = caster.clear_mm(above, step / length[:, None], length)
-    return above + step * (_SHORT_OF_HIT * free / length)[:, None]
+    return np.asarray(above + step * (_SHORT_OF_HIT * free / length)[:, None])
 
 
 def frame(way: Array) -> tuple[Array, Array]:
@@ -228,4 +228,3 @@ def _lamp(light: LampSettings, object_from_rig: Array, soft_edges: bool) -> Lamp
         cone,
         light.shadow,
     )
-

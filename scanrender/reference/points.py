@@ -57,14 +57,14 @@ class PictureCamera:
     def to_eye(self, position: Array) -> Array:
         """(k, 3) unit vectors in object space from positions (k, 3)."""
         if self.is_orthographic:
-            back = np.linalg.inv(self.view_from_object)[:3, 2]
+            back = np.asarray(np.linalg.inv(self.view_from_object)[:3, 2], np.float64)
             return np.broadcast_to(unit(back), position.shape)
         return unit(self.eye - position)
 
     def object_from_rig(self) -> dict[Follows, Array]:
         """Rotations (3, 3) from what each light may be fixed to (`Shot.rig_from_world`)."""
-        object_from_world = np.linalg.inv(self.world_from_object)[:3, :3]
-        camera = object_from_world @ self.view_from_world[:3, :3].T
+        object_from_world = np.asarray(np.linalg.inv(self.world_from_object)[:3, :3], np.float64)
+        camera = np.asarray(object_from_world @ self.view_from_world[:3, :3].T, np.float64)
         return {"world": object_from_world, "subject": np.eye(3), "camera": camera}
 
     def rays(self, column: Array, row: Array) -> tuple[Array, Array, Array]:
@@ -103,8 +103,7 @@ class Points:
 
     def chosen(self, which: npt.NDArray[np.bool_] | npt.NDArray[np.int64]) -> Points:
         """Some of the points."""
-        parts = (self.face, self.bary, self.is_inside, self.pixel)
-        return Points(*(part[which] for part in parts))
+        return Points(self.face[which], self.bary[which], self.is_inside[which], self.pixel[which])
 
 
 def camera_points(surface: Surface, camera: PictureCamera) -> Points:
@@ -157,7 +156,7 @@ def seen_by(surface: Surface, camera: PictureCamera, face: Faces, bary: Array) -
     """
     position = surface.positions_at(face, bary)
     normal, to_eye = surface.face_normals[face], camera.to_eye(position)
-    result = np.einsum("ki,ki->k", normal, to_eye) > 0.0
+    result: Flags = np.asarray(np.einsum("ki,ki->k", normal, to_eye) > 0.0)
     front = np.flatnonzero(result)
     start = position[front] + _ITSELF_MM * to_eye[front]
     reach: float | Array = 1e30

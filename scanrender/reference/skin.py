@@ -100,9 +100,7 @@ class SkinField:
             join([part.skin for part in parts]),
         )
 
-    def mixed(
-        self, shading: Shading, which: npt.NDArray[np.int64], scattered: Array
-    ) -> Array:
+    def mixed(self, shading: Shading, which: npt.NDArray[np.int64], scattered: Array) -> Array:
         """(j, 3) before the rest of the albedo, of points number ``which`` (j,)."""
         s = shading.skin[which, None]
         return np.asarray(s * scattered + (1.0 - s) * shading.unscattered[which])

@@ -97,9 +97,7 @@ def surface_samples(
     return SurfaceSamples(tuple(groups))
 
 
-def _sample(
-    surface: Surface, field: Field, sees: Sees | None, depth: int, faces: Faces
-) -> Samples:
+def _sample(surface: Surface, field: Field, sees: Sees | None, depth: int, faces: Faces) -> Samples:
     middles = _middles(depth)
     face = np.repeat(faces, len(middles))
     bary = np.tile(middles, (len(faces), 1))

@@ -28,7 +28,6 @@ from scanrender.optics._math import Array
 from scanrender.optics.profiles import GaussianSum
 from scanrender.reference.disc import disc_sums
 from scanrender.reference.integral import LobeSums, lobe_sums, reach_mm
-from scanrender.reference.lighting import Lighting
 from scanrender.reference.points import PictureCamera, Points, camera_points, seen_by
 from scanrender.reference.rays import Faces
 from scanrender.reference.sheet import Labels, sheets
@@ -79,7 +78,7 @@ class TruthQuality:
 
 @dataclass(frozen=True)
 class Integrals:
-    """``total`` (k, 3) is truth_sum, ``mean`` (k, 3) truth_mean, ``mass`` (k, 3) integral of R m dA.
+    """``total`` (k, 3): truth_sum; ``mean`` (k, 3): truth_mean; ``mass`` (k, 3): integral of R m dA.
 
     Where nothing of a point's sheet lies within reach, the mean is 0.
     """
@@ -142,9 +141,7 @@ def truth_picture(
     shading = skin.shading(points, camera)
     scatters = np.flatnonzero(shading.skin > 0.0)
     made = time.perf_counter()
-    found = integrals(
-        surface, skin.field, points.chosen(scatters), profile, quality, camera=camera
-    )
+    found = integrals(surface, skin.field, points.chosen(scatters), profile, quality, camera=camera)
     done = time.perf_counter()
     width, height = camera.size_px
     shape, samples = (height, width), len(camera.offsets_px)
@@ -298,7 +295,7 @@ def _spots(
     around = []
     for down in (-1, 0, 1):
         for right in (-1, 0, 1):
-            inside = (0 <= row + down) & (row + down < shape[0])
-            inside &= (0 <= column + right) & (column + right < shape[1])
+            inside = (row + down >= 0) & (row + down < shape[0])
+            inside &= (column + right >= 0) & (column + right < shape[1])
             around.append(((row + down) * shape[1] + column + right)[inside])
     return np.intersect1d(np.concatenate(around), held)
