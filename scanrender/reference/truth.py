@@ -78,7 +78,7 @@ class TruthQuality:
 
 @dataclass(frozen=True)
 class Integrals:
-    """``total`` (k, 3): truth_sum; ``mean`` (k, 3): truth_mean; ``mass`` (k, 3): integral of R m dA.
+    """``total`` (k, 3) is truth_sum, ``mean`` (k, 3) truth_mean, ``mass`` (k, 3) all of R m dA.
 
     Where nothing of a point's sheet lies within reach, the mean is 0.
     """
@@ -188,6 +188,8 @@ def integrals(
     camera: PictureCamera | None = None,
 ) -> Integrals:
     """Both integrals at points; without ``camera`` the mean is over the connected surface."""
+    if len(points) == 0:
+        return Integrals(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)))
     position = surface.positions_at(points.face, points.bary)
     sampled = [v for v in profile.variances_mm2 if quality.is_sampled(v)]
     sets = _sample_sets(surface, field, position, sampled, quality, camera)
