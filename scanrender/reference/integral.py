@@ -20,7 +20,7 @@ from scanrender.reference.sheet import Labels
 from scanrender.reference.surface_samples import Samples
 
 _BLOCK_SIGMAS = 2.0
-_DENSE_ENTRIES = 1_000_000  # of float64: what fits a core's cache share and stays fast
+_DENSE_ENTRIES = 130_000  # of float64: 1 MiB stays in a core's cache between its three passes
 _JOBS = 32
 
 
@@ -97,22 +97,25 @@ def lobe_sums(
         near = np.asarray(tree.query_ball_point(middle, reach + radius), np.int64)
         near.sort()  # the tree's order is no contract, and sums depend on it in the last digits
         rows = table[near]
-        cells, values = rows[:, :3] - middle, np.ascontiguousarray(rows[:, 3:7])
-        seen, cell_sheet = rows[:, 7], rows[:, 8]
+        values, seen, cell_sheet = rows[:, 3:7], rows[:, 7], rows[:, 8]
         labels = np.unique(at_label)
-        is_whole = len(labels) == 1 and bool(np.all((cell_sheet == labels[0]) & (seen == 1.0)))
-        whole, own = np.empty((len(at), 4)), np.empty((len(at), 4))
+        weights = [np.where(cell_sheet == one, seen, 0.0)[:, None] for one in labels]
+        # All cells first, then each sheet's own: one product, since the matrix is what is large.
+        columns = np.concatenate([values, *(values * weight for weight in weights)], axis=1)
+        columns *= 1.0 / (2.0 * math.pi * variance)
+        cells = _one_side(rows[:, :3] - middle, variance, is_cell=True).T
+        points = _one_side(at - middle, variance, is_cell=False)
+        sums = np.empty((len(at), columns.shape[1]))
         step = max(1, _DENSE_ENTRIES // max(len(near), 1))
         for start in range(0, len(at), step):
-            cut = slice(start, start + step)
-            kernel = _gaussian(at[cut] - middle, cells, variance)
-            whole[cut] = kernel @ values
-            for one in () if is_whole else labels:
-                mine = at_label[cut] == one
-                weight = np.where(cell_sheet == one, seen, 0.0)[:, None]
-                own[cut][mine] = kernel[mine] @ (values * weight)
-        own = whole if is_whole else own
-        return LobeSums(whole[:, :3], whole[:, 3], own[:, :3], own[:, 3])
+            kernel = points[start : start + step] @ cells
+            np.exp(kernel, out=kernel)
+            sums[start : start + step] = kernel @ columns
+        own = np.empty((len(at), 4))
+        for number, one in enumerate(labels, 1):
+            mine = at_label == one
+            own[mine] = sums[mine, 4 * number : 4 * number + 4]
+        return LobeSums(sums[:, :3], sums[:, 3], own[:, :3], own[:, 3])
 
     jobs = max(1, min(_JOBS, len(starts) - 1))
     found = LobeSums.joined(each(jobs, work))
@@ -121,16 +124,12 @@ def lobe_sums(
     return found.reordered(back)
 
 
-def _gaussian(at: Array, cells: Array, variance: float) -> Array:
-    """(k, n) G(v, |at - cells|), 1/mm^2, for (k, 3) and (n, 3) mm close to the origin."""
-    scale = 1.0 / math.sqrt(2.0 * variance)
-    p, s = at * scale, cells * scale
-    exponent = (2.0 * p) @ s.T
-    exponent -= np.sum(p * p, axis=1)[:, None]
-    exponent -= np.sum(s * s, axis=1)
-    np.exp(exponent, out=exponent)
-    exponent *= 1.0 / (2.0 * math.pi * variance)
-    return exponent
+def _one_side(position: Array, variance: float, is_cell: bool) -> Array:
+    """(k, 5) whose product of points and cells is -|p - c|^2 / 2v, for mm close to the origin."""
+    scaled = position * (1.0 / math.sqrt(2.0 * variance))
+    squared, ones = -np.sum(scaled * scaled, axis=1, keepdims=True), np.ones((len(scaled), 1))
+    parts = [scaled, ones, squared] if is_cell else [2.0 * scaled, squared, ones]
+    return np.concatenate(parts, axis=1)
 
 
 def _blocks(position: Array, side_mm: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
