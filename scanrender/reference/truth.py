@@ -51,7 +51,7 @@ class TruthQuality:
     """
 
     spacing_mm: float = 0.25
-    cells_per_sigma: float = 4.0
+    cells_per_sigma: float = 2.7
     disc_nodes: int = 16
     tail: float = 1e-4
     shadow_rays: int = 2
