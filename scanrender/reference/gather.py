@@ -47,14 +47,14 @@ def gather(
     mask: Array,
     area_mm2: Array,
     profile: GaussianSum,
-    tail: float = 1e-6,
+    tail: float = 1e-4,
 ) -> tuple[Array, Array]:
     """Sum and mean, (h, w, 3) each, at every pixel with an area.
 
     ``position`` (h, w, 3) mm, ``light`` (h, w, 3) is what diffuses, ``mask`` (h, w) what scatters.
-    Sum: R m E dA over all pixels; mean: over the same of R m dA. A pixel's own share is the energy
-    within a circle of its area, exact where the profile is narrower than a pixel. Raises UsageError
-    for shapes that differ.
+    Sum: R m E dA over all pixels; mean: over the same of R m dA. A pixel's own share is what makes
+    the sum over even, square pixels 1: a Gaussian narrower than a pixel is that pixel. Raises
+    UsageError for shapes that differ.
     """
     shape = area_mm2.shape
     if position.shape != (*shape, 3) or light.shape != (*shape, 3) or mask.shape != shape:
@@ -68,8 +68,8 @@ def gather(
     total, whole = np.zeros((len(held), 3)), np.zeros((len(held), 3))
     for variance, weight in zip(profile.variances_mm2, profile.weights, strict=True):
         lobe: LobeSums = lobe_sums(at, zero, samples, zero[:1], variance, tail)
-        # What the sum gave the pixel itself is replaced by the exact share of its circle.
-        own = -np.expm1(-area / (2.0 * math.pi * variance)) - area / (2.0 * math.pi * variance)
+        # What the sum gave the pixel itself is replaced by what its neighbours leave.
+        own = 1.0 - _lattice_sum(area / (2.0 * math.pi * variance))
         w = np.asarray(weight)
         total += w * (lobe.total + (own * m)[:, None] * e)
         whole += w * (lobe.mass + own * m)[:, None]
@@ -77,3 +77,14 @@ def gather(
     results = np.zeros((2, math.prod(shape), 3))
     results[0, held], results[1, held] = total, mean
     return results[0].reshape(*shape, 3), results[1].reshape(*shape, 3)
+
+
+def _lattice_sum(t: Array) -> Array:
+    """Sum over all (i, j) of t exp(-pi t (i^2 + j^2)): even pixels of area 2 pi v t, any shape.
+
+    t theta_3(e^{-pi t})^2, which is theta_3(e^{-pi / t})^2 by Jacobi's identity; each converges
+    where the other does not.
+    """
+    q = math.pi * np.maximum(t, 1.0 / np.maximum(t, 1e-300))
+    theta = 1.0 + 2.0 * sum(np.exp(-q * k * k) for k in (1, 2, 3))
+    return np.asarray(np.where(t > 1.0, t, 1.0) * theta * theta)

@@ -202,6 +202,18 @@ def test_gather_of_a_profile_below_a_pixel_is_the_pixel():
     np.testing.assert_allclose(mean, light, atol=1e-9)
 
 
+@pytest.mark.parametrize("sigma_px", [0.05, 0.3, 0.5, 0.8, 2.0])
+def test_gather_loses_nothing_however_narrow_the_profile(sigma_px):
+    camera = ortho(32, 16.0)
+    x, y = np.meshgrid(np.arange(32) - 15.5, 15.5 - np.arange(32))
+    position = np.stack([x, y, np.full_like(x, -100.0)], axis=-1)
+    area = pixel_areas(position, np.broadcast_to([0.0, 0, 1.0], position.shape), camera)
+    profile = type(D_EON_SKIN)((sigma_px**2,), ((1.0, 1.0, 1.0),))
+    ones = np.ones((32, 32))
+    total, _ = gather(position, np.ones((32, 32, 3)), ones, area, profile, tail=1e-9)
+    np.testing.assert_allclose(total[15:17, 15:17], 1.0, atol=1e-6)
+
+
 @pytest.mark.gl
 @pytest.mark.parametrize(
     "light",
