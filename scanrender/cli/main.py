@@ -18,6 +18,7 @@ COMMANDS = {
     "prep": ("prep", "Prepare a raw scan: clean, simplify, unwrap, bake into an asset folder."),
     "render": ("render", "Render frames and buffers of a prepared asset."),
     "bench": ("bench", "Measure what preparing a scan costs, and what it loses."),
+    "trade": ("trade", "Measure what each setting costs in time and in error against truth."),
     "compare": ("compare", "Say how far one rendered picture is from another."),
     "inspect": ("inspect", "Say what is in a raw scan and how healthy it is."),
     "validate": ("validate", "Check pipeline files without running them; needs no GL."),

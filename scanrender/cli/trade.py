@@ -1,0 +1,64 @@
+"""`scanrender trade PIPELINE [SCAN]`"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from scanrender.cli import options
+
+
+@click.command("trade")
+@click.argument("pipeline", default="trade")
+@click.argument("scan", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--views",
+    default="close,mid,far",
+    show_default=True,
+    help="Which of close, mid and far: a head of 90, 45 or 15 % of the picture's height.",
+)
+@options.overrides
+@options.out("out/trade")
+@options.as_json
+@options.debug
+def command(
+    pipeline: str,
+    scan: Path | None,
+    views: str,
+    overrides: tuple[str, ...],
+    out: Path,
+    as_json: bool,
+) -> None:
+    """Measure what each setting of PIPELINE costs in time and in error against the truth.
+
+    SCAN is a scan or a prepared folder; without it our own head. A study that was stopped goes on
+    where it was. Lamps only: the truth of environment maps is not integrated.
+    """
+    from scanrender.measure.chosen import chosen
+    from scanrender.measure.own_head import own_head
+    from scanrender.measure.trade import run_trade
+    from scanrender.measure.trade_page import write_page
+    from scanrender.settings.loading import load_pipeline
+
+    def say(text: str) -> None:
+        click.echo(text, err=True)
+
+    names = chosen(views, ("close", "mid", "far"))
+    settings = load_pipeline(pipeline, overrides)
+    asset = own_head(out, say) if scan is None else options.existing(scan, "scan")
+    if not (asset / "asset.json").exists():
+        from scanrender.scan.prepare import prepare
+
+        asset = out / "assets" / asset.stem
+        if not asset.exists():
+            say(f"preparing {scan}")
+            assert scan is not None
+            prepare(scan, settings.scan, settings.prep, asset)
+    rows = run_trade(pipeline, asset, names, out, say, overrides)
+    files = write_page(out, rows, pipeline, scan.name if scan else "")
+    if as_json:
+        click.echo(json.dumps(rows, indent=2))
+    else:
+        click.echo("\n".join(str(file) for file in files))
