@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import click
@@ -36,6 +37,9 @@ def command(
     SCAN is a scan or a prepared folder; without it our own head. A study that was stopped goes on
     where it was. Lamps only: the truth of environment maps is not integrated.
     """
+    # Before NumPy: the truth shares its work among forked processes, and a BLAS with threads of its
+    # own would take every core twice.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from scanrender.measure.chosen import chosen
     from scanrender.measure.own_head import own_head
     from scanrender.measure.trade import run_trade

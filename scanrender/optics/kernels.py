@@ -64,12 +64,13 @@ class DiskTaps:
     """Points on a disk, inside out, each for a ring of the profile.
 
     ``radius_mm`` (n,) ascends, ``angle_rad`` (n,) is in [0, 2 pi), ``weights`` (n, 3) are each
-    channel's energy in the ring: every column sums to 1.
+    channel's energy in the ring, ``centre`` (3,) that inside the innermost: together 1.
     """
 
     radius_mm: Array
     angle_rad: Array
     weights: Array
+    centre: Array
 
 
 def gaussian_taps(samples: int, extent_sigma: float = 3.0) -> Taps1D:
@@ -227,32 +228,38 @@ def tap_positions(samples: int, extent_mm: float, spacing: Spacing) -> tuple[Arr
     return offsets, 0.5 * (offsets[1:] + offsets[:-1])
 
 
-def disk_taps(profile: DiffusionProfile, n: int) -> DiskTaps:
+def disk_taps(profile: DiffusionProfile, n: int, inner_radius_mm: float = 0.0) -> DiskTaps:
     """Return ``n`` (1 to 1023) golden-angle taps, each for a ring that holds 1/n of the mean of the
-    channels' energy.
+    channels' energy outside ``inner_radius_mm``.
 
-    Drawn from the widest channel alone, a narrow one meets a few taps by chance; of the mean each
-    channel has its share of them. A tap's weights are exact ring integrals and it stands at the
-    ring's root mean square radius, so that a constant stays constant and the variance is that of
-    the profile. Raises ConfigError for n out of range.
+    What lies inside belongs to the pixel itself, and needs no tap. Drawn from the widest channel
+    alone, a narrow one meets a few taps by chance; of the mean each channel has its share of them.
+    A tap's weights are exact ring integrals and it stands at the ring's root mean square radius, so
+    that a constant stays constant and the variance is that of the profile. Raises ConfigError for n
+    out of range.
     """
     _check_samples(n, MAX_SAMPLES)
     reach = float(profile.radius_for(1.0 - 1e-6).max())
+    inner = float(np.clip(inner_radius_mm, 0.0, reach))
     # Finer where the narrow channels are: their rings are micrometres wide.
-    r = reach * np.linspace(0.0, 1.0, _RING_STEPS) ** 3
-    energy = profile.cdf(r)
-    mean = energy.mean(axis=1)
-    borders = np.interp(np.arange(1, n) / n, mean, r)
-    inner = profile.cdf(np.concatenate([[0.0], borders]))
-    weights = np.diff(np.concatenate([inner, np.ones((1, 3))]), axis=0)
-    ring = np.searchsorted(borders, 0.5 * (r[1:] + r[:-1]))
+    r = inner + (1.5 * reach - inner) * np.linspace(0.0, 1.0, _RING_STEPS) ** 3
+    mean = profile.cdf(r).mean(axis=1)
+    shares = mean[0] + (1.0 - mean[0]) * np.arange(1, n) / n
+    borders = np.interp(shares, mean, r)
+    within = profile.cdf(np.concatenate([[inner], borders]))
+    weights = np.diff(np.concatenate([within, np.ones((1, 3))]), axis=0)
+    middle = 0.5 * (r[1:] + r[:-1])
+    ring = np.searchsorted(borders, middle)
     mass = np.diff(mean)
-    square = np.bincount(ring, mass * (0.5 * (r[1:] + r[:-1])) ** 2, n)
-    total = np.maximum(np.bincount(ring, mass, n), 1e-300)
+    square = np.bincount(ring, mass * middle**2, n)
+    total = np.bincount(ring, mass, n)
+    # Where next to nothing lies outside, a ring may hold none of the steps.
+    radius = np.sqrt(square / np.maximum(total, 1e-300))
     return DiskTaps(
-        radius_mm=_frozen(np.sqrt(square / total)),
+        radius_mm=_frozen(np.maximum.accumulate(np.maximum(radius, inner))),
         angle_rad=_frozen(np.mod(np.arange(n) * GOLDEN_ANGLE_RAD, 2.0 * math.pi)),
         weights=_frozen(weights),
+        centre=_frozen(within[0]),
     )
 
 

@@ -208,6 +208,7 @@ def test_disk_has_the_energy_and_the_variance_of_the_profile(profile, count):
     disk = disk_taps(profile, count)
     assert np.all(np.diff(disk.radius_mm) > 0.0)
     np.testing.assert_allclose(disk.weights.sum(axis=0), 1.0, atol=1e-12)
+    np.testing.assert_allclose(disk.centre, 0.0, atol=1e-12)
     np.testing.assert_allclose(disk.weights.mean(axis=1), 1.0 / count, rtol=0.01)
     # of the channels' mean: one radius a ring cannot be right for each of them
     square = (disk.weights.mean(axis=1) * disk.radius_mm**2).sum()
@@ -218,6 +219,16 @@ def test_a_narrow_channel_has_taps_of_its_own():
     """Drawn from the widest, blue would meet 5 of 64 within its own reach."""
     disk = disk_taps(D_EON_SKIN, 64)
     assert (disk.radius_mm < D_EON_SKIN.radius_for(0.5)[2]).sum() >= 16
+
+
+@PROFILES
+@pytest.mark.parametrize("inner_mm", [1e-4, 0.3, 2.0, 1e4])
+def test_what_lies_within_the_pixel_needs_no_tap(profile, inner_mm):
+    disk = disk_taps(profile, 32, inner_mm)
+    np.testing.assert_allclose(disk.centre, profile.cdf(inner_mm), atol=1e-5)
+    np.testing.assert_allclose(disk.weights.sum(axis=0) + disk.centre, 1.0, atol=1e-12)
+    assert np.isfinite(disk.radius_mm).all()
+    assert (np.diff(disk.radius_mm) >= 0.0).all()
 
 
 @PROFILES

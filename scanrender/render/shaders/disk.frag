@@ -15,6 +15,7 @@
 uniform sampler2D taps;          // row 0: RGB weight, radius mm; row 1: cosine, sine of the angle,
                                  // and the way in px from the pixel's centre where the tap begins
 uniform int tap_count;
+uniform vec3 centre_weight;      // RGB, of the pixel itself: the profile's energy within it
 uniform sampler2D profile;       // ln R(r) over u = sqrt(r / reach)
 uniform float profile_reach_mm;
 uniform float turn;              // of the whole disk, radians: each supersample has its own taps
@@ -54,6 +55,7 @@ void main() {
     float factor = max(width_factor(), 1e-4);
     float angle_0 = turn + 6.2831853 * noise();
     vec2 turned = vec2(cos(angle_0), sin(angle_0));
+    add(centre_weight, centre, vec3(1.0), 1.0);
     for (int i = 0; i < tap_count; ++i) {
         vec4 tap = texelFetch(taps, ivec2(i, 0), 0);
         vec4 place = texelFetch(taps, ivec2(i, 1), 0);
