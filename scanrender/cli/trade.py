@@ -61,7 +61,8 @@ def command(
             assert scan is not None
             prepare(scan, settings.scan, settings.prep, asset)
     rows = run_trade(pipeline, asset, names, out, say, overrides)
-    files = write_page(out, rows, pipeline, scan.name if scan else "")
+    words = ["scanrender trade", pipeline, *([scan.name] if scan else []), "--views", views]
+    files = write_page(out, rows, " ".join([*words, *(f"--set {text}" for text in overrides)]))
     if as_json:
         click.echo(json.dumps(rows, indent=2))
     else:

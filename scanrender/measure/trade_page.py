@@ -19,15 +19,15 @@ INTRO = """# What each setting buys
 
 Time of a frame against its error: the colour difference (dE2000, mean over the skin) to the truth,
 the surface integral in float64. A difference of 1 can just be noticed. Times are medians of three
-frames on the device named below; only their ratios mean much elsewhere.
+frames or more on the device named below; only their ratios mean much elsewhere.
 
-    scanrender trade {pipeline} {scan}
+    {command}
 """
 
 
-def write_page(out: Path, rows: Sequence[Row], pipeline: str, scan: str) -> list[Path]:
-    """OUT/trade.md and OUT/pareto_VIEW.png. Raises OutputError."""
-    parts = [INTRO.format(pipeline=pipeline, scan=scan), _machine(rows)]
+def write_page(out: Path, rows: Sequence[Row], command: str) -> list[Path]:
+    """OUT/trade.md, with the command that made it, and OUT/pareto_VIEW.png. Raises OutputError."""
+    parts = [INTRO.format(command=command), _machine(rows)]
     files = []
     for view in dict.fromkeys(row["view"] for row in rows):
         mine = [row for row in rows if row["view"] == view]

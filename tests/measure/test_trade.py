@@ -17,7 +17,7 @@ from scanrender.measure.trade import pareto, run_trade
 from scanrender.measure.trade_page import write_page
 from scanrender.settings.loading import load_pipeline
 
-SMALL = ("camera.width_px=24", "camera.height_px=24", "camera.aim=box", "camera.height_mm=60")
+SMALL = ("camera.width_px=24", "camera.height_px=24", "camera.aim=subject", "camera.height_mm=60")
 
 
 def row(point: dict[str, Any], milliseconds: float, error: float) -> dict[str, Any]:
@@ -73,7 +73,7 @@ def test_the_page_says_what_a_knob_buys(tmp_path: Path):
     for point in points():
         slow = 2.0 if point.get("diffusion.samples") == 33 else 1.0
         rows.append(row(point, 100.0 * slow, 0.5 - 0.1 * slow))
-    page, plot = write_page(tmp_path, rows, "trade", "head.obj")
+    page, plot = write_page(tmp_path, rows, "scanrender trade trade head.obj")
     text = page.read_text()
     assert "`diffusion.samples` 33 instead of 17: close: 2.00 times the time, dE2000 -0.100" in text
     assert plot.stat().st_size > 5000

@@ -67,7 +67,7 @@ def test_the_half_lit_plane_at_any_tilt(
 ):
     edge = lit_edge(gl, axis=axis, vertical=vertical, tilt_deg=degrees, diffusion=FINE,
                     camera={"projection": projection})  # fmt: skip
-    assert edge.error < 0.01
+    assert edge.error < 0.015
 
 
 def test_supersamples_bring_taps_of_their_own(gl: Device):
