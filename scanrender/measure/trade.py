@@ -39,6 +39,8 @@ TRUTH_SUPERSAMPLING = 2
 # woken is slow for its first ones.
 REPEATS, MOST_REPEATS, MEASURED_S = 3, 50, 0.5
 SURE_SKIN = 0.99
+# The truth is of diffuse light: whatever the pipeline says, the study leaves the rest out.
+DIFFUSE_ALONE = ("skin.specular.strength=0", "skin.transmission.method=none")
 
 
 def run_trade(
@@ -59,7 +61,7 @@ def run_trade(
     stamp = _stamp(asset_folder, pipeline, changes)
     rows = _kept(out / "trade.json", stamp, gl.renderer)
     for view in views:
-        framing = (f"camera.height_mm={HEAD_MM / VIEWS[view]:.1f}", *changes)
+        framing = (f"camera.height_mm={HEAD_MM / VIEWS[view]:.1f}", *changes, *DIFFUSE_ALONE)
         waiting = [p for p in points() if not any(_is(row, view, p) for row in rows)]
         if not waiting:
             say(f"{view}: all {len(points())} points are measured already")

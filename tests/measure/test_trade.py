@@ -87,6 +87,8 @@ def test_a_small_study_ends_and_goes_on(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(trade, "points", lambda: few)
     told: list[str] = []
     rows = run_trade("trade", asset, ("close",), tmp_path / "out", told.append, SMALL)
+    # skin/natural has highlights: left in, they would be most of the error.
+    assert all(r["energy_ratio"][0] == pytest.approx(1.0, abs=0.02) for r in rows)
     errors = {r["point"][METHOD]: r["dE2000"]["mean"] for r in rows}
     assert errors["disk"] < errors["none"]
     assert errors["gaussian_sum"] < errors["none"]
