@@ -18,8 +18,9 @@ Row = Mapping[str, Any]
 INTRO = """# What each setting buys
 
 Time of a frame against its error: the colour difference (dE2000, mean over the skin) to the truth,
-the surface integral in float64, of diffuse light alone. A difference of 1 can just be noticed. Times
-are medians of three frames or more on the device named below; only their ratios mean much elsewhere.
+the surface integral in float64, of diffuse light alone. A difference of 1 can just be noticed.
+Times are medians of three frames or more on the device named below; only their ratios mean much
+elsewhere.
 
     {command}
 """
