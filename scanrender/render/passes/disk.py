@@ -19,7 +19,7 @@ from scanrender.render.scene import Scene, Shot
 TABLE_TEXELS = 1024
 # What the profile holds within this radius stays in the pixel and needs no tap. Of what goes
 # further a part stays too: with the radius of a pixel's area (0.56) hard edges are off by 3 %.
-INNER_PX = 0.3
+INNER_PX = 0.25
 GOLDEN_RATIO = 0.5 * (1.0 + math.sqrt(5.0))
 PLASTIC = (0.7548776662466927, 0.5698402909980532)  # of the R2 sequence (Roberts 2018)
 TABLE_ENERGY = 1.0 - 1e-9  # of the widest channel lies within the table
