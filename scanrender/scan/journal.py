@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 Progress = Callable[[str, float], None]
@@ -55,7 +57,15 @@ class Journal:
 
 
 def peak_mib() -> int | None:
-    """The largest memory of this process so far."""
+    """The largest memory of this process so far.
+
+    Linux counts in VmHWM what belongs to this program alone; in `ru_maxrss` it keeps the memory
+    of whoever started it, however large (the record of a process survives exec).
+    """
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) // 1024
     try:
         import resource
     except ImportError:  # Windows

@@ -258,18 +258,10 @@ def plain_call(
     result = call()
     seconds = time.perf_counter() - start
     del result
-    return {}, {"seconds": seconds, "peak_mib": _peak()}
+    return {}, {"seconds": seconds, "peak_mib": peak_mib()}
 
 
 def _forget_peak() -> None:
     """Count the peak of this process anew, where the system can (Linux)."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
-
-
-def _peak() -> int | None:
-    with contextlib.suppress(OSError):
-        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
-            if line.startswith("VmHWM:"):
-                return int(line.split()[1]) // 1024
-    return peak_mib()

@@ -148,10 +148,11 @@ REFUSED = {
 }  # fmt: skip
 
 READ_ALL = """
-import json, resource, sys, time
+import json, sys, time
 from pathlib import Path
 from scanrender.errors import ScanrenderError
 from scanrender.scan.inspect import inspect_scan
+from scanrender.scan.journal import peak_mib
 ended = {}
 inspect_scan(Path(sys.argv[1]).parent / "good.obj")  # imports are not what is measured
 for name in sys.argv[2:]:
@@ -162,7 +163,7 @@ for name in sys.argv[2:]:
         ended[name] = [type(error).__name__, error.what, error.fix or ""]
     except Exception as error:
         ended[name] = ["CRASH", repr(error), ""]
-    ended[name].append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
+    ended[name].append(peak_mib())
 print(json.dumps(ended))
 """
 

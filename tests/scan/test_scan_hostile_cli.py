@@ -236,6 +236,17 @@ CASES = {
 }
 MORE = {"far away, tiny, inside out": ["--set", "scan.height_mm=200", "--set", "scan.up=+y"]}
 
+# The kernel's record of a child's memory starts at what its parent held when it started it: with
+# pytest as the parent, every child would be as large as all tests before it made pytest.
+COUNTED = """
+import os, sys
+out = os.open(sys.argv[1], os.O_WRONLY)
+child = os.posix_spawn(sys.argv[2], sys.argv[2:], os.environ, file_actions=[
+    (os.POSIX_SPAWN_DUP2, out, 1)])
+_, status, usage = os.wait4(child, 0)
+print(os.waitstatus_to_exitcode(status), usage.ru_maxrss)
+"""
+
 
 @dataclass
 class Ended:
@@ -259,12 +270,12 @@ def run(name: str, folder: Path) -> Ended:
         command.remove("--as-is")
     said = [folder.with_suffix(suffix) for suffix in (".out", ".err")]
     with said[0].open("w") as out, said[1].open("w") as err:
-        process = subprocess.Popen(command, stdout=out, stderr=err)
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
+        counter = [sys.executable, "-S", "-c", COUNTED, out.name, *command]
+        counted = subprocess.run(counter, stdout=subprocess.PIPE, stderr=err, text=True, check=True)
+    code, peak_kib = (int(word) for word in counted.stdout.split())
     texts = [path.read_text() for path in said]
     left = sorted(path.name for path in results.iterdir())
-    return Ended(process.returncode, *texts, usage.ru_maxrss / 1024, left, results / "asset")
+    return Ended(code, *texts, peak_kib / 1024, left, results / "asset")
 
 
 @pytest.fixture(scope="module")

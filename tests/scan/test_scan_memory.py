@@ -26,3 +26,19 @@ def test_children_cannot_lift_a_stated_limit():
         [sys.executable, "-c", NESTED, "50", "600"], capture_output=True, text=True, check=True
     )
     assert done.stdout.splitlines() == ["0 False", "1 True"]
+
+
+LARGE_PARENT = """
+import subprocess, sys
+held = bytearray(b"x" * (500 << 20))
+child = "from scanrender.scan.journal import peak_mib; print(peak_mib())"
+print(subprocess.run([sys.executable, "-c", child], capture_output=True, text=True).stdout)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc")
+def test_peak_memory_does_not_count_the_parents():
+    done = subprocess.run(
+        [sys.executable, "-c", LARGE_PARENT], capture_output=True, text=True, check=True
+    )
+    assert 0 < int(done.stdout) < 300
