@@ -25,7 +25,7 @@ LEVEL = {
 }  # fmt: skip
 GPL_OR_CHILD_ONLY = {"pymeshlab", "xatlas", "fast_simplification"}
 # Shaders that no pass module of their own name draws with, and who does.
-SHADERS_WITHOUT_PASS = {"resolve": "render/frame.py"}
+SHADERS_WITHOUT_PASS = {"contrast": "render/supersample.py", "resolve": "render/supersample.py"}
 MAX_LINES = 450
 
 

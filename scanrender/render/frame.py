@@ -14,14 +14,14 @@ from scanrender.asset import Asset
 from scanrender.buffers import CATALOGUE, Frame, buffer_spec
 from scanrender.errors import StageError, UsageError
 from scanrender.render.camera import Camera, frame_subject
-from scanrender.render.device import Device, bind
-from scanrender.render.graph import Graph, TexturePool, everywhere
+from scanrender.render.device import Device
+from scanrender.render.graph import Graph, TexturePool
 from scanrender.render.lamps import WIDEST_MAP_DEG
 from scanrender.render.passes import all_passes
 from scanrender.render.passes._scatter import largest_width_factor
 from scanrender.render.plan import Decision, plan
-from scanrender.render.samples import sample_offsets_px
 from scanrender.render.scene import Scene, Shot
+from scanrender.render.supersample import Supersampler
 from scanrender.settings.pipeline import Pipeline
 
 RESOLVED = ("beauty", "display")
@@ -45,6 +45,7 @@ class Renderer:
         self.scene = Scene(device, asset, self.pipeline)
         self.graph = Graph(all_passes(self.scene))
         self.pool = TexturePool(device)
+        self.supersampler = Supersampler(device, self.pool, self.scene, self.graph)
         self.decisions += _light_decisions(self.scene) + _curvature_decisions(self.scene)
         self.camera = self._camera()
         self.guard_px = self._guard_px()
@@ -83,7 +84,7 @@ class Renderer:
         make, StageError when the picture holds non-finite pixels.
         """
         self._check_names(buffers)
-        beauty = self._beauty(view, timings)
+        beauty = self.supersampler.beauty(lambda at, n: self._shot(view, at, n), timings)
         shot = self._shot(view, (0.0, 0.0), 0)
         tonemapped = self.graph.run(
             self.device, self.pool, shot, {"display"}, {"beauty": beauty}, timings
@@ -98,26 +99,6 @@ class Renderer:
         cropped = {name: _channels(name, array) for name, array in pixels.items()}
         return Frame(cropped, alpha, self._info(view))
 
-    def _beauty(self, view: View, timings: dict[str, float] | None) -> moderngl.Texture:
-        offsets = sample_offsets_px(self.pipeline.quality.supersampling)
-        program = self.device.program("resolve")
-        beauty = self.pool.take(self._padded_size, 4)
-        target = self.pool.framebuffer([beauty], depth=False)
-        target.use()
-        target.clear()
-        for number, offset in enumerate(offsets):
-            shot = self._shot(view, offset, number)
-            made = self.graph.run(self.device, self.pool, shot, {"radiance"}, None, timings)
-            target.use()
-            self.device.context.enable(moderngl.BLEND)
-            self.device.context.blend_func = moderngl.ONE, moderngl.ONE
-            target.scissor = shot.scissor  # beyond it radiance is 0
-            bind(program, {"radiance": made["radiance"], "weight": 1.0 / len(offsets)})
-            self.device.fill(program)
-            self.pool.give_back(made["radiance"])
-        everywhere(target)
-        return beauty
-
     def _dump(
         self, shot: Shot, names: Collection[str], timings: dict[str, float] | None
     ) -> dict[str, npt.NDArray[np.float32]]:
@@ -129,11 +110,6 @@ class Renderer:
             pixels[name] = self._read(texture, crop=self.graph.fills_picture(name))
             self.pool.give_back(texture)
         return pixels
-
-    @property
-    def _padded_size(self) -> tuple[int, int]:
-        width, height = self.camera.size_px
-        return width + 2 * self.guard_px, height + 2 * self.guard_px
 
     def _shot(self, view: View, jitter_px: tuple[float, float], sample: int) -> Shot:
         camera = self.camera.turned(view.camera_deg)
@@ -172,7 +148,7 @@ class Renderer:
         guard = self.guard_px if crop else 0
         width, height = texture.width - 2 * guard, texture.height - 2 * guard
         raw = np.empty((height, width, channels or texture.components), np.float32)
-        source = self.pool.framebuffer([texture], depth=False)
+        source = self.pool.framebuffer([texture])
         window = (guard, guard, width, height)
         source.read_into(raw, window, components=raw.shape[2], dtype="f4")
         return raw[::-1]

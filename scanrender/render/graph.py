@@ -56,7 +56,7 @@ class TexturePool:
     def __init__(self, device: Device) -> None:
         self._device = device
         self._free: dict[tuple[Size, int], list[moderngl.Texture]] = {}
-        self._depth: dict[Size, moderngl.Renderbuffer] = {}
+        self._depth: dict[tuple[Size, str], moderngl.Renderbuffer] = {}
         self._framebuffers: dict[tuple[int, ...], moderngl.Framebuffer] = {}
 
     def take(self, size: Size, components: int) -> moderngl.Texture:
@@ -75,17 +75,18 @@ class TexturePool:
         free.append(texture)
         free.sort(key=lambda other: -other.glo)
 
+    def depth(self, size: Size, use: str = "mesh") -> moderngl.Renderbuffer:
+        """A depth buffer of this size: the one that meshes are drawn with, or one of its own."""
+        if (size, use) not in self._depth:
+            self._depth[size, use] = self._device.context.depth_renderbuffer(size)
+        return self._depth[size, use]
+
     def framebuffer(
-        self, textures: Sequence[moderngl.Texture], depth: bool
+        self, textures: Sequence[moderngl.Texture], depth: moderngl.Renderbuffer | None = None
     ) -> moderngl.Framebuffer:
-        key = (*(texture.glo for texture in textures), int(depth))
+        key = (*(texture.glo for texture in textures), -1 if depth is None else depth.glo)
         if key not in self._framebuffers:
-            size = textures[0].size
-            if depth and size not in self._depth:
-                self._depth[size] = self._device.context.depth_renderbuffer(size)
-            self._framebuffers[key] = self._device.context.framebuffer(
-                list(textures), self._depth[size] if depth else None
-            )
+            self._framebuffers[key] = self._device.context.framebuffer(list(textures), depth)
         return self._framebuffers[key]
 
 
@@ -105,6 +106,16 @@ class Graph:
     def names(self) -> list[str]:
         """Every buffer that can be asked for."""
         return [name for name in self._writer if not name.startswith("_")]
+
+    @property
+    def writes(self) -> frozenset[str]:
+        """Every buffer that some pass writes, private ones included."""
+        return frozenset(self._writer)
+
+    def kept(self, wanted: Collection[str]) -> list[str]:
+        """What `wanted` needs that has a size of its own, and so is the same for every sample."""
+        steps = self.order(wanted)
+        return [b.name for step in steps for b in step.writes if b.size is not None]
 
     def fills_picture(self, name: str) -> bool:
         """Whether buffer `name` has the picture's size; a shadow map has its own."""
@@ -146,8 +157,12 @@ class Graph:
         wanted: Collection[str],
         given: Mapping[str, moderngl.Texture] | None = None,
         timings: dict[str, float] | None = None,
+        where: moderngl.Renderbuffer | None = None,
     ) -> dict[str, moderngl.Texture]:
         """Draw and return the `wanted` textures; the caller gives them back to the pool.
+
+        Passes without a depth test draw only where the depth buffer `where` holds 1, not 0: pixels
+        are told apart ahead of the shaders, which need not know. The others stay 0.
 
         With `timings`, each pass is finished and its wall-clock seconds are added under its name
         (timer queries lie on software GL). `shot.size` is the picture's padded (width, height).
@@ -159,7 +174,7 @@ class Graph:
             started = time.perf_counter()
             for buffer in step.writes:
                 live[buffer.name] = pool.take(buffer.size or shot.size, buffer.components)
-            self._draw(device, pool, shot, step, live)
+            self._draw(device, pool, shot, step, live, where)
             if timings is not None:
                 device.finish()
                 timings[step.name] = timings.get(step.name, 0.0) + time.perf_counter() - started
@@ -176,8 +191,12 @@ class Graph:
         shot: Any,
         step: Pass,
         live: Mapping[str, moderngl.Texture],
+        where: moderngl.Renderbuffer | None,
     ) -> None:
-        target = pool.framebuffer([live[b.name] for b in step.writes], step.depth_test)
+        textures = [live[b.name] for b in step.writes]
+        own = pool.depth(textures[0].size) if step.depth_test else None
+        target = pool.framebuffer(textures, own or where)
+        target.depth_mask = step.depth_test
         target.use()
         everywhere(target)
         # One call clears every attachment and the depth. Only a shadow map has another value than
@@ -186,10 +205,11 @@ class Graph:
         target.clear(value, value, value, value, depth=1.0)
         context = device.context
         context.disable(moderngl.BLEND)
-        if step.depth_test:
+        if own or where:
             context.enable(moderngl.DEPTH_TEST)
         else:
             context.disable(moderngl.DEPTH_TEST)
+        if not step.depth_test:
             target.scissor = shot.scissor
         step.draw(shot, {name: live[name] for name in step.reads}, target)
         everywhere(target)

@@ -242,6 +242,12 @@ class Scene:
         )
 
     @property
+    def scattered_samples(self) -> int:
+        """How many samples of a pixel scatter their light."""
+        quality = self.pipeline.quality
+        return 1 if quality.sampling == "contrast" else quality.supersampling**2
+
+    @property
     def transmitting_lamps(self) -> list[Lamp]:
         """The lamps whose light may cross thin skin."""
         method = self.pipeline.skin.transmission.method

@@ -75,6 +75,12 @@ class QualitySettings(Section):
     supersampling: int = setting(
         2, "Samples along each side of a pixel: 2 means 4 samples.", unit="1", ge=1, le=16
     )
+    sampling: Literal["everywhere", "contrast"] = setting(
+        "everywhere",
+        "Where they are taken: in every pixel, or only where neighbouring pixels differ; light "
+        "then scatters once a pixel, and elsewhere the pixel's centre speaks for it.",
+        unit="",
+    )
 
 
 class ViewSettings(Section):

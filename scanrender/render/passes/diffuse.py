@@ -15,7 +15,7 @@ SURFACE = ("albedo", "skin", "position", "normal_shading")
 
 def passes(scene: Scene) -> list[Pass]:
     scatters = scene.pipeline.diffusion.method != "none"
-    light = ("scattered",) if scatters else ()
+    light: tuple[str, ...] = ("scattered",) if scatters else ()
     # Without a skin map everything scatters, and nothing keeps its own light.
     light += ("diffusion_input",) if scene.uses_skin_map or not scatters else ()
 

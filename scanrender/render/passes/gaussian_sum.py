@@ -128,7 +128,7 @@ def level_uniforms(
     offsets = scene.gaussian_taps(tap_count, MAX_TAPS)
     shift_px, bilinear_px2, cells = 0.0, 1.0 / 6.0, 0
     if is_direct:
-        cells = scene.pipeline.quality.supersampling**2
+        cells = scene.scattered_samples
         shift_px = sample_shift_px(shot, direction)
         bilinear_px2 = (1.0 - 1.0 / cells**2) / 12.0
     first = np.frombuffer(offsets, np.float32)[0:4:2]
