@@ -38,6 +38,7 @@ class Result:
     stages: dict[str, float] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     decisions: list[str] = field(default_factory=list)
+    plan: dict[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
         return {
@@ -47,6 +48,7 @@ class Result:
             "seconds": {name: round(value, 3) for name, value in self.stages.items()},
             "warnings": self.warnings,
             "not_run": self.decisions,
+            "plan": self.plan,
         }
 
 
@@ -114,8 +116,8 @@ def _render(
     result: Result,
 ) -> dict[str, Any]:
     from scanrender.batch.figure import write_figure
+    from scanrender.batch.shot import prepare_shot
     from scanrender.render.device import device
-    from scanrender.render.frame import Renderer
 
     started = time.perf_counter()
     if pipeline.figure.panels:
@@ -124,13 +126,16 @@ def _render(
         )
         result.stages["render"] = time.perf_counter() - started
         return _gl(device(), pipeline)
-    renderer = Renderer(device(), asset, pipeline)
-    result.stages["upload"] = time.perf_counter() - started
-    written = write_turntable(renderer, folder, _subject(asset, result.name), progress, frames)
+    asked = range(pipeline.turntable.frames) if frames is None else frames
+    shot = prepare_shot(device(), asset, pipeline, asked)
+    result.stages["plan" if shot.measured else "upload"] = time.perf_counter() - started
+    subject = _subject(asset, result.name)
+    written = write_turntable(shot.renderer, folder, subject, progress, frames)
     result.files += written.files
     result.stages.update(written.seconds)
-    result.decisions += [f"{d.what}: {d.reason}" for d in renderer.decisions]
-    return _gl(renderer.device, pipeline)
+    result.decisions += shot.not_run
+    result.plan = shot.measured
+    return _gl(device(), pipeline)
 
 
 def _subject(asset: Asset, name: str) -> str:
@@ -162,4 +167,5 @@ def _manifest(
         "seconds": {name: round(value, 3) for name, value in result.stages.items()},
         "warnings": result.warnings,
         "not_run": result.decisions,
+        "plan": result.plan,
     }

@@ -1,4 +1,4 @@
-"""`scanrender bench prep`, `bench fidelity`, `bench render` and `bench flicker`"""
+"""`scanrender bench prep`, `bench fidelity`, `bench render`, `bench flicker`, `bench plan`"""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ CASES = {
     "fidelity": "noise_0,noise_0.1",
     "render": "all",
     "flicker": "none,gaussian_sum",
+    "plan": "48",
 }
 
 
@@ -25,7 +26,7 @@ CASES = {
     f"[default: {CASES['prep']}]. fidelity: noise_0, noise_0.02, noise_0.05, noise_0.1, phantom "
     f"[default: {CASES['fidelity']}]. render: close, mid, far, empty "
     "[default: all]. flicker: none, gaussian_sum, separable_preintegrated, jitter "
-    f"[default: {CASES['flicker']}].",
+    f"[default: {CASES['flicker']}]. plan: how many random shots [default: {CASES['plan']}].",
 )
 @click.option(
     "--scans",
@@ -37,7 +38,7 @@ CASES = {
 @click.option(
     "--asset",
     type=click.Path(path_type=Path),
-    help="render, flicker: a prepared folder, instead of our own head with 50 k triangles.",
+    help="render, flicker, plan: a prepared folder, instead of our own head with 50 k triangles.",
 )
 @click.option(
     "--repeats",
@@ -64,10 +65,11 @@ def command(
 
     prep: seconds and memory of each stage. fidelity: what 50 k triangles lose of a dense scan, in
     shape, colour and picture. render: milliseconds of a 1080p frame by method and by pass.
-    flicker: what changes on the same point of the skin from frame to frame of the turntable. A
+    flicker: what changes on the same point of the skin from frame to frame of the turntable.
+    plan: how far planned frames are from everything on, and how much faster, on random shots. A
     table, OUT/TARGET.json and OUT/TARGET.csv; pictures in OUT.
     """
-    from scanrender.measure import fidelity, flicker, prep_bench, render_bench
+    from scanrender.measure import fidelity, flicker, plan_bench, prep_bench, render_bench
     from scanrender.measure.chosen import chosen
     from scanrender.measure.limits import missed_limits
 
@@ -86,6 +88,9 @@ def command(
     elif target == "flicker":
         rows = flicker.bench_flicker(chosen(named, flicker.WAYS), out, say, asset)
         table = flicker.flicker_text(rows)
+    elif target == "plan":
+        rows = plan_bench.bench_plan(out, scans, say, asset, options.count(named, "--cases"))
+        table = plan_bench.plan_text(rows)
     else:
         rows = fidelity.bench_fidelity(fidelity.fidelity_list(named), out, scans, say)
         table = fidelity.fidelity_text(rows)

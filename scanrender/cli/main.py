@@ -17,6 +17,7 @@ COMMANDS = {
     "run": ("run", "Run a pipeline on one or several scans."),
     "prep": ("prep", "Prepare a raw scan: clean, simplify, unwrap, bake into an asset folder."),
     "render": ("render", "Render frames and buffers of a prepared asset."),
+    "plan": ("plan", "Say what a shot can leave out, what that changes, and what it saves."),
     "bench": ("bench", "Measure what preparing a scan costs, and what it loses."),
     "trade": ("trade", "Measure what each setting costs in time and in error against truth."),
     "compare": ("compare", "Say how far one rendered picture is from another."),

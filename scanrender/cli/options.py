@@ -57,6 +57,13 @@ def out(default: str) -> Callable[[F], F]:
     )
 
 
+def count(text: str, option: str) -> int:
+    """A positive whole number. Raises UsageError."""
+    if not text.isdecimal() or int(text) < 1:
+        raise UsageError(f"{option} {text} is no number of shots", fix=f"for example {option} 48")
+    return int(text)
+
+
 def frame_range(text: str | None, count: int) -> list[int] | None:
     """`a-b`, 0-based and inclusive, or one number; None for everything. Raises UsageError."""
     if text is None:

@@ -39,15 +39,21 @@ class View:
 class Renderer:
     """Renders frames of one asset. Keep one per process: it owns device textures."""
 
-    def __init__(self, device: Device, asset: Asset, pipeline: Pipeline) -> None:
+    scene: Scene
+    pool: TexturePool
+
+    def __init__(
+        self, device: Device, asset: Asset, pipeline: Pipeline, like: Renderer | None = None
+    ) -> None:
+        """`like` is a renderer of the same asset, whose device memory serves this one too."""
         self.device = device
         self.pipeline, self.decisions = plan(pipeline, asset.maps)
-        self.scene = Scene(device, asset, self.pipeline)
+        self.scene = Scene(device, asset, self.pipeline, None if like is None else like.scene)
         self.graph = Graph(all_passes(self.scene))
-        self.pool = TexturePool(device)
+        self.pool = TexturePool(device) if like is None else like.pool
         self.supersampler = Supersampler(device, self.pool, self.scene, self.graph)
         self.decisions += _light_decisions(self.scene) + _curvature_decisions(self.scene)
-        self.camera = self._camera()
+        self.camera = self._camera() if like is None else like._camera_for(self.pipeline)
         self.guard_px = self._guard_px()
 
     def show_window(self, shares: tuple[float, float, float, float]) -> None:
@@ -116,12 +122,21 @@ class Renderer:
         return self.scene.shot(camera, view.subject_deg, self.guard_px, jitter_px, sample)
 
     def _camera(self) -> Camera:
-        turntable = self.pipeline.turntable
+        return self._camera_of(self.pipeline)
+
+    def _camera_of(self, pipeline: Pipeline) -> Camera:
+        turntable = pipeline.turntable
         count = min(turntable.frames, 72)
         angles = turntable.start_deg + turntable.degrees * np.arange(count) / count
         return frame_subject(
-            self.pipeline.camera, self.scene.asset.mesh.positions_mm, -np.asarray(angles)
+            pipeline.camera, self.scene.asset.mesh.positions_mm, -np.asarray(angles)
         )
+
+    def _camera_for(self, pipeline: Pipeline) -> Camera:
+        """Where a renderer with these settings would stand: here, if they frame the same shot."""
+        mine = self.pipeline
+        same = (mine.camera, mine.turntable) == (pipeline.camera, pipeline.turntable)
+        return self.camera if same else self._camera_of(pipeline)
 
     def _guard_px(self) -> int:
         """Pixels rendered beyond the picture, so that light diffuses in from outside it.

@@ -91,23 +91,31 @@ class Shot:
 class Scene:
     """An asset under lights with a material, on the device. Everything a pass may read."""
 
-    def __init__(self, device: Device, asset: Asset, pipeline: Pipeline) -> None:
+    def __init__(
+        self, device: Device, asset: Asset, pipeline: Pipeline, like: Scene | None = None
+    ) -> None:
+        """`like` is a scene of the same asset whose mesh and maps are on the device already."""
         self.device = device
         self.asset = asset
         self.pipeline = pipeline
+        self._like = like
         self.radius_mm = float(np.linalg.norm(asset.mesh.positions_mm, axis=1).max(initial=1e-3))
         self.lamps, self.ambient = resolve_lights(pipeline.lights, self.radius_mm)
         self.profile = profile_of(pipeline.skin)
         self.albedo_power = {"pre": 1.0, "mixed": 0.5, "post": 0.0}[pipeline.skin.texturing]
+        self.levels = self.profile.merged(pipeline.diffusion.gaussians)
         # Radius of 99.9 % of the profile per channel: guard band, culling, kernel_px.
         self.scattering = scattering_of(pipeline, self.profile)
         self.reach_mm = np.asarray(self.scattering.radius_for(0.999), dtype=np.float64)
         scatters = pipeline.diffusion.method != "none"
         self.uses_skin_map = scatters and pipeline.diffusion.mask == "skin" and "skin" in asset.maps
-        self._index = device.context.buffer(asset.mesh.faces.astype(np.uint32).tobytes())
-        self._vertices = device.context.buffer(_interleaved(asset).tobytes())
+        if like is None:
+            self._index = device.context.buffer(asset.mesh.faces.astype(np.uint32).tobytes())
+            self._vertices = device.context.buffer(_interleaved(asset).tobytes())
+        else:
+            self._index, self._vertices = like._index, like._vertices
         self._tap_blocks: dict[int, moderngl.Buffer] = {}
-        self._data_maps: dict[str, moderngl.Texture] = {}
+        self._data_maps: dict[str, moderngl.Texture] = {} if like is None else like._data_maps
         self._arrays: dict[str, moderngl.VertexArray] = {}
 
     def draw_mesh(self, program: moderngl.Program) -> None:
@@ -126,6 +134,8 @@ class Scene:
     @cached_property
     def maps(self) -> dict[str, moderngl.Texture]:
         """Albedo, normal, AO and skin maps, mipmapped; a neutral texel for a missing one."""
+        if self._like is not None:
+            return self._like.maps
         return {name: self._map(name) for name in NEUTRAL_MAPS}
 
     def gaussian_taps(self, count: int, size: int) -> bytes:
@@ -159,10 +169,18 @@ class Scene:
     @cached_property
     def environments(self) -> list[Environment]:
         """Environment lights, prefiltered for this material."""
+        if self._like is not None and self._reflects_like(self._like):
+            return self._like.environments
         found = [light for light in self.pipeline.lights if isinstance(light, EnvironmentLight)]
         return [
             Environment(self.device, light, self._lobes, RHO_COSINES, self._rho) for light in found
         ]
+
+    def _reflects_like(self, other: Scene) -> bool:
+        mine, theirs = self.pipeline, other.pipeline
+        return mine.skin.specular == theirs.skin.specular and all(
+            light in theirs.lights for light in mine.lights if isinstance(light, EnvironmentLight)
+        )
 
     @cached_property
     def lobe_albedo(self) -> moderngl.Texture:

@@ -140,6 +140,14 @@ class DiffusionSettings(Section):
         ge=3,
         le=255,
     )
+    gaussians: int = setting(
+        255,
+        "Gaussians of the profile that `gaussian_sum` blurs by, at most: the narrowest are merged, "
+        "which does not show below a pixel.",
+        unit="1",
+        ge=1,
+        le=255,
+    )
     disk_taps: int = setting(64, "Taps of `disk`, in all.", unit="taps", ge=4, le=1023)
     normalize: Literal["visible", "none"] = setting(
         "visible",

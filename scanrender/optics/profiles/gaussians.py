@@ -156,6 +156,24 @@ class GaussianSum:
             tuple(float(v) * length_factor**2 for v in self.variances_mm2), self.weights
         )
 
+    def merged(self, count: int) -> GaussianSum:
+        """Return the profile with at most ``count`` >= 1 Gaussians: the narrowest become one.
+
+        Its variance is their mean by weight (all channels together), which keeps the second
+        moment of the sum. Where all of them are narrower than a pixel, nothing else is seen.
+        """
+        if count < 1:
+            raise ConfigError("at least one Gaussian must be left", "count")
+        first = max(len(self.variances_mm2) - count + 1, 1)
+        weights = self._w[:first].sum(axis=0)
+        shares = self._w[:first].sum(axis=1)
+        # Gaussians that no channel uses still have a variance: any mean of them will do.
+        shares = shares if bool(shares.any()) else np.ones_like(shares)
+        variance = float(np.average(self._v[:first], weights=shares))
+        return GaussianSum.normalized(
+            (variance, *self.variances_mm2[first:]), (_rgb(weights), *self.weights[first:])
+        )
+
     def _cdf_by_channel(self, r_mm: Array) -> Array:
         """Return cdf where the last axis of ``r_mm`` (..., 3) already is the channel."""
         falloff = -np.expm1(-_half_square(r_mm, self._v))

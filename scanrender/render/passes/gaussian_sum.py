@@ -53,7 +53,7 @@ def passes(scene: Scene) -> list[Pass]:
     if scene.pipeline.diffusion.method != "gaussian_sum":
         return []
     found = [weight_pass(scene, lambda shot: _weight_draws(scene, shot), "gaussian_sum")]
-    count = len(scene.profile.variances_mm2)
+    count = len(scene.levels.variances_mm2)
     for level in range(count):
         source = "diffusion_input" if level == 0 else f"gaussian_{level - 1}"
         between = "diffuse_horizontal" if level == count - 1 else f"_horizontal_{level}"
@@ -87,7 +87,7 @@ def _direction(
 
 def _weight_draws(scene: Scene, shot: Shot) -> Iterator[WeightDraw]:
     """Each level in both directions, by its weight in the sum."""
-    weights = scene.profile.weights
+    weights = scene.levels.weights
     for level, (r, g, b) in enumerate(weights):
         is_direct = level == 0 or level_is_narrow(scene, shot, level)
         for direction in DIRECTIONS:
@@ -100,7 +100,7 @@ def level_is_narrow(scene: Scene, shot: Shot, level: int) -> bool:
 
     Blurs below a pixel do not add up: each would have to know how the last one met the pixels.
     """
-    sigma_mm = math.sqrt(scene.profile.variances_mm2[level])
+    sigma_mm = math.sqrt(scene.levels.variances_mm2[level])
     widest_px = _widest_px(scene, shot, sigma_mm)
     return widest_px <= narrow_taps(scene.pipeline.diffusion.samples)[1]
 
@@ -117,9 +117,9 @@ def level_uniforms(
     A direct level turns samples into what the pixel's footprint sees; the others blur a level.
     """
     samples = scene.pipeline.diffusion.samples
-    variance = scene.profile.variances_mm2[level]
+    variance = scene.levels.variances_mm2[level]
     if not is_direct:
-        variance = float(scene.profile.increments_mm2()[level])
+        variance = float(scene.levels.increments_mm2()[level])
     sigma_mm = math.sqrt(variance)
     widest_px = _widest_px(scene, shot, sigma_mm)
     radius, narrow_px = narrow_taps(samples)

@@ -19,7 +19,7 @@ Term = tuple[str, tuple[float, float, float]]
 def passes(scene: Scene) -> list[Pass]:
     if scene.pipeline.diffusion.method != "gaussian_sum":
         return []
-    terms: list[Term] = [(f"gaussian_{k}", w) for k, w in enumerate(scene.profile.weights)]
+    terms: list[Term] = [(f"gaussian_{k}", w) for k, w in enumerate(scene.levels.weights)]
 
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
