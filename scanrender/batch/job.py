@@ -39,6 +39,7 @@ class Result:
     warnings: list[str] = field(default_factory=list)
     decisions: list[str] = field(default_factory=list)
     plan: dict[str, Any] = field(default_factory=dict)
+    quality: dict[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
         return {
@@ -49,6 +50,7 @@ class Result:
             "warnings": self.warnings,
             "not_run": self.decisions,
             "plan": self.plan,
+            "quality": self.quality,
         }
 
 
@@ -128,13 +130,15 @@ def _render(
         return _gl(device(), pipeline)
     asked = range(pipeline.turntable.frames) if frames is None else frames
     shot = prepare_shot(device(), asset, pipeline, asked)
-    result.stages["plan" if shot.measured else "upload"] = time.perf_counter() - started
+    result.stages["plan" if shot.measured or shot.choice else "upload"] = (
+        time.perf_counter() - started
+    )
     subject = _subject(asset, result.name)
     written = write_turntable(shot.renderer, folder, subject, progress, frames)
     result.files += written.files
     result.stages.update(written.seconds)
     result.decisions += shot.not_run
-    result.plan = shot.measured
+    result.plan, result.quality = shot.measured, shot.outcome(written.frame_ms)
     return _gl(device(), pipeline)
 
 
@@ -168,4 +172,5 @@ def _manifest(
         "warnings": result.warnings,
         "not_run": result.decisions,
         "plan": result.plan,
+        "quality": result.quality,
     }

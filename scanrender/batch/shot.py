@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from scanrender.asset import Asset
+from scanrender.measure.choice import Choice, choose
 from scanrender.render.device import Device
 from scanrender.render.frame import Renderer
 from scanrender.render.measured_plan import MeasuredPlan, measure_plan
@@ -18,11 +20,24 @@ LEAST_FRAMES = 24
 
 @dataclass(frozen=True)
 class PreparedShot:
-    """A renderer, what it does not run and why, and what was measured for that."""
+    """A renderer, what it does not run and why, and what was chosen and measured for that."""
 
     renderer: Renderer
     not_run: list[str]
+    choice: Choice | None = None
     measured: dict[str, Any] = field(default_factory=dict)
+
+    def outcome(self, frame_ms: Sequence[float]) -> dict[str, Any]:
+        """What was picked, what was predicted of it, and what its frames took."""
+        if self.choice is None:
+            return {}
+        return {
+            "picked": self.choice.recipe.name,
+            "satisfies": self.choice.satisfies,
+            "predicted_delta_e": round(self.choice.delta_e, 3),
+            "predicted_ms": round(self.choice.frame_ms, 1),
+            "measured_ms": round(statistics.median(frame_ms), 1) if frame_ms else None,
+        }
 
 
 def prepare_shot(
@@ -32,20 +47,22 @@ def prepare_shot(
     frames: Sequence[int],
     say: Callable[[str], None] = lambda _: None,
 ) -> PreparedShot:
-    """Ready to render `frames`. With `quality.tolerance_delta_e`, and frames enough to pay for it,
-    a measured plan decides what is left out."""
-    renderer = Renderer(device, asset, pipeline)
+    """Ready to render `frames`: the way that `quality` asks for is chosen, and with
+    `quality.tolerance_delta_e`, and frames enough to pay for it, a measured plan decides what of
+    that is left out."""
+    choice = choose(device, asset, pipeline, frames, say)
+    renderer = Renderer(device, asset, pipeline if choice is None else choice.pipeline)
     not_run = [f"{d.what}: {d.reason}" for d in renderer.decisions]
     tolerance = pipeline.quality.tolerance_delta_e
     if tolerance is None:
-        return PreparedShot(renderer, not_run)
+        return PreparedShot(renderer, not_run, choice)
     if len(frames) < LEAST_FRAMES:
         few = f"measured plan: {len(frames)} frames take less time than it, {LEAST_FRAMES} pay"
-        return PreparedShot(renderer, [*not_run, few])
+        return PreparedShot(renderer, [*not_run, few], choice)
     found = measure_plan(renderer, frames, tolerance, say)
     planned = Renderer(device, asset, found.pipeline, renderer)
     left_out = [f"{f.what}: {f.sentence}" for f in found.findings if f.is_left_out]
-    return PreparedShot(planned, [*not_run, *left_out], as_data(found))
+    return PreparedShot(planned, [*not_run, *left_out], choice, as_data(found))
 
 
 def as_data(plan: MeasuredPlan) -> dict[str, Any]:

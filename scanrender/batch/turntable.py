@@ -25,10 +25,12 @@ Progress = Callable[[str, float], None]
 
 @dataclass
 class Written:
-    """What a turntable left behind: files relative to the folder, and seconds per kind of work."""
+    """What a turntable left behind: files relative to the folder, seconds per kind of work, and
+    milliseconds of each frame that was only shown."""
 
     files: list[str] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
+    frame_ms: list[float] = field(default_factory=list)
 
     def add_time(self, name: str, started: float) -> None:
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started
@@ -76,6 +78,8 @@ def write_turntable(
             started = time.perf_counter()
             frame = renderer.render(renderer.view(index), buffers)
             written.add_time("render", started)
+            if not buffers:
+                written.frame_ms.append(1e3 * (time.perf_counter() - started))
             started = time.perf_counter()
             if video is not None:
                 video.write(frame.buffers["display"])

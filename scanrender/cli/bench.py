@@ -1,4 +1,5 @@
-"""`scanrender bench prep`, `bench fidelity`, `bench render`, `bench flicker`, `bench plan`"""
+"""`scanrender bench prep`, `bench fidelity`, `bench render`, `bench flicker`, `bench plan`,
+`bench choice`"""
 
 from __future__ import annotations
 
@@ -15,6 +16,7 @@ CASES = {
     "render": "all",
     "flicker": "none,gaussian_sum",
     "plan": "48",
+    "choice": "all",
 }
 
 
@@ -66,10 +68,18 @@ def command(
     prep: seconds and memory of each stage. fidelity: what 50 k triangles lose of a dense scan, in
     shape, colour and picture. render: milliseconds of a 1080p frame by method and by pass.
     flicker: what changes on the same point of the skin from frame to frame of the turntable.
-    plan: how far planned frames are from everything on, and how much faster, on random shots. A
-    table, OUT/TARGET.json and OUT/TARGET.csv; pictures in OUT.
+    plan: how far planned frames are from everything on, and how much faster, on random shots.
+    choice: whether what quality.max_delta_e and budget_ms pick is as near and fast as they promise.
+    A table, OUT/TARGET.json and OUT/TARGET.csv; pictures in OUT.
     """
-    from scanrender.measure import fidelity, flicker, plan_bench, prep_bench, render_bench
+    from scanrender.measure import (
+        choice_bench,
+        fidelity,
+        flicker,
+        plan_bench,
+        prep_bench,
+        render_bench,
+    )
     from scanrender.measure.chosen import chosen
     from scanrender.measure.limits import missed_limits
 
@@ -91,6 +101,9 @@ def command(
     elif target == "plan":
         rows = plan_bench.bench_plan(out, scans, say, asset, options.count(named, "--cases"))
         table = plan_bench.plan_text(rows)
+    elif target == "choice":
+        rows = choice_bench.bench_choice(out, scans, say)
+        table = choice_bench.choice_text(rows)
     else:
         rows = fidelity.bench_fidelity(fidelity.fidelity_list(named), out, scans, say)
         table = fidelity.fidelity_text(rows)

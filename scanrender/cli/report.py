@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -23,10 +23,25 @@ def print_results(results: Sequence[Result], as_json: bool) -> None:
             click.echo(f"  {name}")
         spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in result.stages.items())
         click.echo(f"  time: {spent}")
+        for line in _quality(result.quality):
+            click.echo(f"  {line}")
         for sentence in result.warnings:
             click.echo(f"  warning: {sentence}")
         for sentence in result.decisions:
             click.echo(f"  not run: {sentence}")
+
+
+def _quality(found: Mapping[str, Any]) -> list[str]:
+    """What was picked for the quality that was asked for, predicted and measured."""
+    if not found:
+        return []
+    short = "" if found["satisfies"] else " (the nearest there is: it does not satisfy the wish)"
+    took = "" if found["measured_ms"] is None else f", took {found['measured_ms']:.0f} ms"
+    return [
+        f"quality: {found['picked']}{short}",
+        f"  predicted dE2000 {found['predicted_delta_e']:.2f} to truth and "
+        f"{found['predicted_ms']:.0f} ms a frame{took}",
+    ]
 
 
 def _collapsed(files: Sequence[str]) -> list[str]:

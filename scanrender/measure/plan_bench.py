@@ -57,11 +57,11 @@ def bench_plan(
     ScanrenderError's kinds.
     """
     make_folder(out)
-    subjects = {"asset": load_asset(asset)} if asset else _subjects(out, scans, say)
-    names, rows = list(subjects), []
+    heads = {"asset": load_asset(asset)} if asset else subjects(out, scans, say)
+    names, rows = list(heads), []
     for number in range(count):
         name = names[number % len(names)]
-        rows.append(_row(device(), subjects[name], name, number))
+        rows.append(_row(device(), heads[name], name, number))
         last = rows[-1]
         say(
             f"{last['case']}: {last['asked_ms']:.0f} -> {last['planned_ms']:.0f} ms, "
@@ -71,7 +71,8 @@ def bench_plan(
     return rows
 
 
-def _subjects(out: Path, scans: Path, say: Callable[[str], None]) -> dict[str, Asset]:
+def subjects(out: Path, scans: Path, say: Callable[[str], None]) -> dict[str, Asset]:
+    """Our own head, and the real ones that are in `scans`; prepared once into OUT/assets."""
     found = {"own_head": load_asset(own_head(out, say))}
     for name, (file, settings) in SCANS.items():
         folder = out / "assets" / f"plan_{name}"

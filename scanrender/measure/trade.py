@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from scanrender.asset import Asset, load_asset
+from scanrender.buffers import Frame
 from scanrender.files import atomic_path, make_folder
 from scanrender.measure.compare import Picture, compare_pictures
 from scanrender.measure.knobs import name_of, overrides, points
@@ -66,7 +67,7 @@ def run_trade(
         if not waiting:
             say(f"{view}: all {len(points())} points are measured already")
             continue
-        truth = _truth(gl, asset, pipeline, framing, out / "truth" / f"{view}_{stamp}.npz", say)
+        truth = truth_of(gl, asset, pipeline, framing, out / "truth" / f"{view}_{stamp}.npz", say)
         for number, point in enumerate(waiting):
             row = {
                 "case": f"{view}: {name_of(point)}", "view": view, "point": point,
@@ -90,15 +91,23 @@ def _measured(
         begun = time.perf_counter()
         renderer.render(renderer.view(0))
         seconds.append(time.perf_counter() - begun)
+    figures = error_of(renderer, truth, frame)
+    return {"frame_ms": 1e3 * statistics.median(seconds), **figures}
+
+
+def error_of(
+    renderer: Renderer, truth: Mapping[str, Any], frame: Frame | None = None
+) -> dict[str, Any]:
+    """Every figure of a picture (its first frame, where none is given) against a truth."""
+    frame = frame or renderer.render(renderer.view(0))
     skin = truth["skin"] * (truth["coverage"] == 1.0)
     mine = Picture(frame.buffers["beauty"].astype(np.float64), frame.alpha, skin)
     right = Picture(truth["truth_mean"], truth["coverage"], (skin > SURE_SKIN).astype(np.float64))
     figures, _ = compare_pictures(mine, right, "skin", DEFAULT_PPD)
-    kept = {k: v for k, v in figures.items() if k not in ("silhouette_leak", "border_leak")}
-    return {"frame_ms": 1e3 * statistics.median(seconds), **kept}
+    return {k: v for k, v in figures.items() if k not in ("silhouette_leak", "border_leak")}
 
 
-def _truth(
+def truth_of(
     gl: Device,
     asset: Asset,
     pipeline: str,
@@ -106,7 +115,7 @@ def _truth(
     file: Path,
     say: Callable[[str], None],
 ) -> dict[str, Any]:
-    """truth_mean, coverage, skin (arrays) and notes (its seconds and convergence)."""
+    """truth_mean, coverage, skin (arrays) and notes (seconds, convergence); kept in `file`."""
     if file.exists():
         with np.load(file, allow_pickle=False) as stored:
             arrays: dict[str, Any] = {key: stored[key] for key in stored.files if key != "notes"}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Self
+
+from pydantic import model_validator
 
 from scanrender.settings.base import Rgb, Section, setting
 
@@ -89,6 +91,34 @@ class QualitySettings(Section):
         ge=0.01,
         le=100,
     )
+    max_delta_e: float | None = setting(
+        None,
+        "Picks the cheapest way to render (method, samples, supersampling) that is predicted to be "
+        "as near to truth: mean dE2000 over the skin. Instead of `budget_ms` and `preset`.",
+        unit="ΔE",
+        ge=0.01,
+        le=100,
+    )
+    budget_ms: float | None = setting(
+        None,
+        "Picks the way nearest to truth whose frames take no longer on this machine.",
+        unit="ms",
+        ge=0.1,
+        le=1e7,
+    )
+    preset: Literal["draft", "standard", "reference"] | None = setting(
+        None,
+        "`reference` is the way nearest to truth; `standard` picks the cheapest that is within "
+        "dE2000 0.2 of its error, `draft` 0.35.",
+        unit="",
+    )
+
+    @model_validator(mode="after")
+    def _one_need(self) -> Self:
+        needs = [n for n in ("max_delta_e", "budget_ms", "preset") if getattr(self, n) is not None]
+        if len(needs) > 1:
+            raise ValueError(f"{' and '.join(needs)} are different wishes: state one of them")
+        return self
 
 
 class ViewSettings(Section):
