@@ -49,7 +49,7 @@ class Renderer:
         self.device = device
         self.pipeline, self.decisions = plan(pipeline, asset.maps)
         self.scene = Scene(device, asset, self.pipeline, None if like is None else like.scene)
-        self.graph = Graph(all_passes(self.scene))
+        self.graph = Graph(all_passes(self.scene), self.scene.dtype)
         self.pool = TexturePool(device) if like is None else like.pool
         self.supersampler = Supersampler(device, self.pool, self.scene, self.graph)
         self.decisions += _light_decisions(self.scene) + _curvature_decisions(self.scene)

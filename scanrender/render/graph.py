@@ -25,14 +25,16 @@ Size = tuple[int, int]
 class Buffer:
     """What a pass writes: RGBA32F, or R32F with `components=1`.
 
-    `size` is (width, height) px, None for the picture with its guard band. A name with a leading
-    underscore is private to its pass: it is never dumped and needs no entry in the catalogue.
+    `size` is (width, height) px, None for the picture with its guard band. `exact` is what half
+    floats cannot hold: lengths in millimetres, sums over samples. A name with a leading underscore
+    is private to its pass: it is never dumped and needs no entry in the catalogue.
     """
 
     name: str
     components: int = 4
     size: Size | None = None
     clear: float = 0.0
+    exact: bool = False
 
     def __post_init__(self) -> None:
         if not self.name.startswith("_"):
@@ -55,15 +57,15 @@ class TexturePool:
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        self._free: dict[tuple[Size, int], list[moderngl.Texture]] = {}
+        self._free: dict[tuple[Size, int, str], list[moderngl.Texture]] = {}
         self._depth: dict[tuple[Size, str], moderngl.Renderbuffer] = {}
         self._framebuffers: dict[tuple[int, ...], moderngl.Framebuffer] = {}
 
-    def take(self, size: Size, components: int) -> moderngl.Texture:
-        free = self._free.setdefault((size, components), [])
+    def take(self, size: Size, components: int, dtype: str = "f4") -> moderngl.Texture:
+        free = self._free.setdefault((size, components, dtype), [])
         if free:
             return free.pop()
-        texture = self._device.context.texture(size, components, dtype="f4")
+        texture = self._device.context.texture(size, components, dtype=dtype)
         texture.repeat_x = texture.repeat_y = False
         texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
         return texture
@@ -71,7 +73,7 @@ class TexturePool:
     def give_back(self, texture: moderngl.Texture) -> None:
         # The same order in each frame: framebuffers are made for sets of textures, and a pool that
         # hands them out by history would make new sets, and so framebuffers, without end.
-        free = self._free[(texture.size, texture.components)]
+        free = self._free[(texture.size, texture.components, texture.dtype)]
         free.append(texture)
         free.sort(key=lambda other: -other.glo)
 
@@ -93,7 +95,9 @@ class TexturePool:
 class Graph:
     """All passes a scene could run. Raises ValueError when two passes write the same buffer."""
 
-    def __init__(self, passes: Iterable[Pass]) -> None:
+    def __init__(self, passes: Iterable[Pass], dtype: str = "f4") -> None:
+        """`dtype` ("f4", "f2") is that of buffers which need not be exact."""
+        self._dtype = dtype
         self._writer: dict[str, Pass] = {}
         for step in passes:
             for buffer in step.writes:
@@ -173,7 +177,8 @@ class Graph:
         for index, step in enumerate(steps):
             started = time.perf_counter()
             for buffer in step.writes:
-                live[buffer.name] = pool.take(buffer.size or shot.size, buffer.components)
+                dtype = "f4" if buffer.exact else self._dtype
+                live[buffer.name] = pool.take(buffer.size or shot.size, buffer.components, dtype)
             self._draw(device, pool, shot, step, live, where)
             if timings is not None:
                 device.finish()

@@ -12,6 +12,10 @@ from dataclasses import dataclass
 from scanrender.settings.light import EnvironmentLight, LampSettings
 from scanrender.settings.pipeline import Pipeline
 
+HALF_MAX = 65504.0
+# A highlight of the narrowest lobe reflects some hundred times what a white wall does.
+BRIGHTEST_IN_HALF = 100.0
+
 
 @dataclass(frozen=True)
 class Decision:
@@ -30,6 +34,7 @@ def plan(
     """
     decisions: list[Decision] = []
     pipeline = _without_black_lights(pipeline, decisions)
+    pipeline = _with_precision_that_holds(pipeline, decisions)
     pipeline = _with_transmission_that_can_be(pipeline, maps, decisions)
     pipeline = _with_diffusion_that_can_be(pipeline, decisions)
     return _with_curvature_that_can_be(pipeline, maps, decisions), decisions
@@ -44,6 +49,20 @@ def _without_black_lights(pipeline: Pipeline, decisions: list[Decision]) -> Pipe
         else:
             lights.append(light)
     return pipeline.model_copy(update={"lights": tuple(lights)})
+
+
+def _with_precision_that_holds(pipeline: Pipeline, decisions: list[Decision]) -> Pipeline:
+    brightest = sum(
+        (light.intensity if isinstance(light, EnvironmentLight) else light.irradiance)
+        * max(light.colour)
+        for light in pipeline.lights
+    )
+    if pipeline.quality.precision == "full" or brightest <= BRIGHTEST_IN_HALF:
+        return pipeline
+    reason = f"light of {brightest:.3g} could pass what half floats hold ({HALF_MAX:g})"
+    decisions.append(Decision("quality.precision: half", reason))
+    full = pipeline.quality.model_copy(update={"precision": "full"})
+    return pipeline.model_copy(update={"quality": full})
 
 
 def _with_transmission_that_can_be(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,6 +28,7 @@ from scanrender.settings.skin import SkinSettings
 
 RHO_TABLE_SIZE = 64
 RHO_COSINES = (np.arange(RHO_TABLE_SIZE) + 0.5) / RHO_TABLE_SIZE
+SHARPER = -1.0
 SEPARABLE = ("separable_preintegrated", "separable_artistic")
 # What a scan without a map gets. Thickness has no neutral value: plan.py sees to it.
 NEUTRAL_MAPS = {
@@ -258,6 +260,21 @@ class Scene:
             guard_px,
             jitter_px,
         )
+
+    def lod_bias(self, sample: int) -> float:
+        """Mip levels that the maps are read finer than a pixel's size would have it.
+
+        A sample stands for its share of the pixel, and trilinear filtering blurs over two of what
+        it stands for (decision 22).
+        """
+        quality = self.pipeline.quality
+        is_centre = quality.sampling == "contrast" and sample == 0
+        return SHARPER - (0.0 if is_centre else math.log2(quality.supersampling))
+
+    @property
+    def dtype(self) -> str:
+        """Of buffers that need not be exact."""
+        return "f2" if self.pipeline.quality.precision == "half" else "f4"
 
     @property
     def scattered_samples(self) -> int:

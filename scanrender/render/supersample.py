@@ -133,7 +133,7 @@ def _further_graph(scene: Scene) -> Graph:
     """The passes of a further sample: what scatters is taken from the pixel's centre."""
     own = [step for step in all_passes(scene) if all(b.name != "scattered" for b in step.writes)]
     scatters = scene.pipeline.diffusion.method != "none"
-    return Graph([*own, *(reproject.passes(scene) if scatters else [])])
+    return Graph([*own, *(reproject.passes(scene) if scatters else [])], scene.dtype)
 
 
 def _switch(context: moderngl.Context, flag: int, on: bool) -> None:

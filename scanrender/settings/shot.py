@@ -83,6 +83,12 @@ class QualitySettings(Section):
         "then scatters once a pixel, and elsewhere the pixel's centre speaks for it.",
         unit="",
     )
+    precision: Literal["full", "half"] = setting(
+        "full",
+        "Floats of light, normals and guides between passes: `half` is 16 bits wide, which a GPU "
+        "moves in half the time. Lengths and sums always are full.",
+        unit="",
+    )
     tolerance_delta_e: float | None = setting(
         None,
         "Before a turntable, what changes its picture by less than this is measured and left out: "

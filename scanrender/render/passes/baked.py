@@ -27,4 +27,4 @@ def passes(scene: Scene) -> list[Pass]:
         )
         scene.draw_mesh(program)
 
-    return [Pass("baked", (), (Buffer("_baked"),), draw, depth_test=True)]
+    return [Pass("baked", (), (Buffer("_baked", exact=True),), draw, depth_test=True)]

@@ -11,13 +11,13 @@ from scanrender.render.graph import Buffer, Pass
 from scanrender.render.scene import Scene, Shot
 
 WRITES = (
-    Buffer("position"),
+    Buffer("position", exact=True),
     Buffer("normal_geometry"),
     Buffer("normal_shading"),
     Buffer("albedo"),
     Buffer("skin", components=1),
     Buffer("ao", components=1),
-    Buffer("depth_mm", components=1),
+    Buffer("depth_mm", components=1, exact=True),
 )
 
 
@@ -37,6 +37,7 @@ def passes(scene: Scene) -> list[Pass]:
                 "normal_map": maps["normal_ts"],
                 "ao_map": maps["ao"],
                 "skin_map": maps["skin"],
+                "lod_bias": scene.lod_bias(shot.sample),
                 "inside_albedo": scene.pipeline.view.inside_albedo,
             },
         )

@@ -31,4 +31,4 @@ def passes(scene: Scene) -> list[Pass]:
         )
         scene.device.fill(program)
 
-    return [Pass("kernel_px", reads, (Buffer("kernel_px"),), draw)]
+    return [Pass("kernel_px", reads, (Buffer("kernel_px", exact=True),), draw)]

@@ -28,7 +28,7 @@ def _shadow(scene: Scene, lamp: Lamp) -> Pass:
         bind(program, _uniforms(lamp, shot))
         scene.draw_mesh(program)
 
-    buffer = Buffer(f"shadow_{lamp.index}", components=1, size=(side, side), clear=far)
+    buffer = Buffer(f"shadow_{lamp.index}", components=1, size=(side, side), clear=far, exact=True)
     return Pass(f"shadow_{lamp.index}", (), (buffer,), draw, depth_test=True)
 
 

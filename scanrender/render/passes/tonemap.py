@@ -36,4 +36,4 @@ def passes(scene: Scene) -> list[Pass]:
         target.scissor = guard, guard, width - 2 * guard, height - 2 * guard
         scene.device.fill(program)
 
-    return [Pass("tonemap", ("beauty",), (Buffer("display"),), draw)]
+    return [Pass("tonemap", ("beauty",), (Buffer("display", exact=True),), draw)]

@@ -55,7 +55,11 @@ def passes(scene: Scene) -> list[Pass]:
     surface += ("_baked",) if is_baked else ()
     surface += ("curvature",) if by_curvature else ()
     reads = (*surface, *(f"shadow_{lamp.index}" for lamp in lamps if lamp.settings.shadow))
-    writes = (Buffer("transmission"), Buffer("thickness_mm", components=1), Buffer("transmittance"))
+    writes = (
+        Buffer("transmission"),
+        Buffer("thickness_mm", components=1, exact=True),
+        Buffer("transmittance"),
+    )
     return [Pass("transmission", reads, writes, draw)]
 
 

@@ -13,6 +13,7 @@ uniform sampler2D normal_map;  // tangent space unit vector, +Y
 uniform sampler2D ao_map;
 uniform sampler2D skin_map;
 uniform vec3 inside_albedo;    // of the back of the surface, lin_rec709_scene
+uniform float lod_bias;
 
 layout(location = 0) out vec4 position;
 layout(location = 1) out vec4 normal_geometry;
@@ -37,16 +38,16 @@ void main() {
 
     // MikkTSpace: the interpolated tangent and sign are used as they are, not re-orthogonalised.
     vec3 bitangent = v_tangent.w * cross(v_normal, v_tangent.xyz);
-    vec3 t = texture(normal_map, v_uv).xyz;
+    vec3 t = texture(normal_map, v_uv, lod_bias).xyz;
     vec3 shading = safe_unit(t.x * v_tangent.xyz + t.y * bitangent + t.z * v_normal, n);
     if (!gl_FrontFacing) shading = n;
 
     position = vec4(v_position, 1.0);
     normal_geometry = vec4(n, 1.0);
     normal_shading = vec4(shading, 1.0);
-    albedo = vec4(clamp(texture(albedo_map, v_uv).rgb, 0.0, 1.0), 1.0);
-    skin = clamp(texture(skin_map, v_uv).r, 0.0, 1.0);
-    ao = clamp(texture(ao_map, v_uv).r, 0.0, 1.0);
+    albedo = vec4(clamp(texture(albedo_map, v_uv, lod_bias).rgb, 0.0, 1.0), 1.0);
+    skin = clamp(texture(skin_map, v_uv, lod_bias).r, 0.0, 1.0);
+    ao = clamp(texture(ao_map, v_uv, lod_bias).r, 0.0, 1.0);
     depth_mm = -v_position.z;
     if (!gl_FrontFacing) {
         albedo.rgb = inside_albedo;
