@@ -6,7 +6,7 @@ A knob that is added here joins the study, its tables and its sentences.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
@@ -20,7 +20,8 @@ SCREEN = (*BLURS, "disk")
 class Knob:
     """`key` of the pipeline, its `usual` value, the `others`, and the methods that have it.
 
-    With `crossed` it is combined with every other crossed knob; else it is turned alone.
+    With `crossed` it is combined with every other crossed knob; else it is turned alone, `along`
+    with settings without which it does nothing.
     """
 
     key: str
@@ -28,6 +29,7 @@ class Knob:
     others: tuple[Any, ...]
     methods: tuple[str, ...]
     crossed: bool = False
+    along: Settings = field(default_factory=dict)
 
     @property
     def values(self) -> tuple[Any, ...]:
@@ -42,7 +44,12 @@ KNOBS = (
     Knob("diffusion.limit", "none", ("lab",), SCREEN),
     Knob("diffusion.jitter", False, (True,), SCREEN),
     Knob("curvature.modulation", "none", ("reduce", "reduce_to_minimum", "increase"), SCREEN),
+    Knob("diffusion.gaussians", 255, (3, 4), ("gaussian_sum",)),
+    Knob("diffusion.resolution", "full", ("half",), SCREEN),
+    Knob("quality.precision", "full", ("half",), SCREEN),
     Knob("quality.supersampling", 1, (2,), ("none", *SCREEN)),
+    Knob("quality.sampling", "everywhere", ("contrast",), ("none", *SCREEN),
+         along={"quality.supersampling": 2}),
 )  # fmt: skip
 METHOD = "diffusion.method"
 
@@ -62,7 +69,7 @@ def _points_of(method: str) -> Iterator[Settings]:
         yield {**usual, **{knob.key: v for knob, v in zip(crossed, values, strict=True)}}
     for knob in mine:
         if not knob.crossed:
-            yield from ({**usual, knob.key: value} for value in knob.values)
+            yield from ({**usual, **knob.along, knob.key: value} for value in knob.values)
 
 
 def name_of(point: Settings) -> str:

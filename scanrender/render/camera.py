@@ -73,6 +73,17 @@ class Camera:
             centre_px=(x + 0.5 * (left + right - width), y + 0.5 * (top + bottom - height)),
         )
 
+    def halved(self) -> Camera:
+        """The same camera with pixels twice as wide, around the same middle; one more where the
+        number was odd."""
+        width, height = ((side + 1) // 2 for side in self.size_px)
+        return replace(
+            self,
+            size_px=(width, height),
+            half_height=self.half_height * 2 * height / self.size_px[1],
+            centre_px=(0.5 * self.centre_px[0], 0.5 * self.centre_px[1]),
+        )
+
     def clip_from_view(self, guard_px: int = 0, jitter_px: tuple[float, float] = (0, 0)) -> Matrix:
         """Projection with `guard_px` more pixels on each side, moved by a sub-pixel jitter.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import partial
 
 import moderngl
 import numpy as np
@@ -90,8 +91,8 @@ class Renderer:
         make, StageError when the picture holds non-finite pixels.
         """
         self._check_names(buffers)
-        beauty = self.supersampler.beauty(lambda at, n: self._shot(view, at, n), timings)
-        shot = self._shot(view, (0.0, 0.0), 0)
+        shot = self._shot(view)
+        beauty = self.supersampler.beauty(partial(self._shot, view), timings)
         tonemapped = self.graph.run(
             self.device, self.pool, shot, {"display"}, {"beauty": beauty}, timings
         )
@@ -117,9 +118,20 @@ class Renderer:
             self.pool.give_back(texture)
         return pixels
 
-    def _shot(self, view: View, jitter_px: tuple[float, float], sample: int) -> Shot:
-        camera = self.camera.turned(view.camera_deg)
-        return self.scene.shot(camera, view.subject_deg, self.guard_px, jitter_px, sample)
+    def _shot(
+        self,
+        view: View,
+        jitter_px: tuple[float, float] = (0.0, 0.0),
+        sample: int = 0,
+        footprint_px: float = 1.0,
+        halved: bool = False,
+    ) -> Shot:
+        """One sample of the picture, or of one of half its width and height."""
+        camera, guard_px = self.camera.turned(view.camera_deg), self.guard_px
+        if halved:
+            camera, guard_px = camera.halved(), (guard_px + 1) // 2
+        turn = view.subject_deg
+        return self.scene.shot(camera, turn, guard_px, jitter_px, sample, footprint_px)
 
     def _camera(self) -> Camera:
         return self._camera_of(self.pipeline)

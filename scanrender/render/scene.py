@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,7 +27,6 @@ from scanrender.settings.skin import SkinSettings
 
 RHO_TABLE_SIZE = 64
 RHO_COSINES = (np.arange(RHO_TABLE_SIZE) + 0.5) / RHO_TABLE_SIZE
-SHARPER = -1.0
 SEPARABLE = ("separable_preintegrated", "separable_artistic")
 # What a scan without a map gets. Thickness has no neutral value: plan.py sees to it.
 NEUTRAL_MAPS = {
@@ -45,7 +43,8 @@ class Shot:
 
     `size` is (width, height) in px with the guard band; `scissor` the (x, y, w, h) in GL's
     bottom-up pixels that the subject can touch; `near_mm` the least depth it can have. `sample`
-    numbers the supersample, whose place in the pixel is `jitter_px` (right, down).
+    numbers the supersample, whose place in the pixel is `jitter_px` (right, down); it stands for
+    `footprint_px` of the pixel along each side.
     """
 
     size: tuple[int, int]
@@ -58,6 +57,7 @@ class Shot:
     sample: int
     guard_px: int
     jitter_px: tuple[float, float] = (0.0, 0.0)
+    footprint_px: float = 1.0
 
     @property
     def view_from_object(self) -> Matrix:
@@ -235,6 +235,7 @@ class Scene:
         guard_px: int = 0,
         jitter_px: tuple[float, float] = (0.0, 0.0),
         sample: int = 0,
+        footprint_px: float = 1.0,
     ) -> Shot:
         """One sample with the subject turned by `turn_deg` about +Y."""
         view_from_world = camera.view_from_world
@@ -259,17 +260,8 @@ class Scene:
             sample,
             guard_px,
             jitter_px,
+            footprint_px,
         )
-
-    def lod_bias(self, sample: int) -> float:
-        """Mip levels that the maps are read finer than a pixel's size would have it.
-
-        A sample stands for its share of the pixel, and trilinear filtering blurs over two of what
-        it stands for (decision 22).
-        """
-        quality = self.pipeline.quality
-        is_centre = quality.sampling == "contrast" and sample == 0
-        return SHARPER - (0.0 if is_centre else math.log2(quality.supersampling))
 
     @property
     def dtype(self) -> str:
@@ -280,7 +272,8 @@ class Scene:
     def scattered_samples(self) -> int:
         """How many samples of a pixel scatter their light."""
         quality = self.pipeline.quality
-        return 1 if quality.sampling == "contrast" else quality.supersampling**2
+        once = quality.sampling == "contrast" or self.pipeline.diffusion.resolution == "half"
+        return 1 if once else quality.supersampling**2
 
     @property
     def transmitting_lamps(self) -> list[Lamp]:

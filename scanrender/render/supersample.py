@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import moderngl
 
@@ -13,9 +14,21 @@ from scanrender.render.samples import sample_offsets_px
 from scanrender.render.scene import Scene, Shot
 
 Timings = dict[str, float] | None
-ShotAt = Callable[[tuple[float, float], int], Shot]
+CENTRE = (0.0, 0.0)
 # Range of the root of light in 3 x 3 pixels above which a pixel gets its further samples.
 THRESHOLD = 0.04
+
+
+class ShotAt(Protocol):
+    """Makes the shot of one sample of a frame."""
+
+    def __call__(
+        self,
+        jitter_px: tuple[float, float] = ...,
+        sample: int = ...,
+        footprint_px: float = ...,
+        halved: bool = ...,
+    ) -> Shot: ...
 
 
 class Supersampler:
@@ -23,57 +36,69 @@ class Supersampler:
 
     def __init__(self, device: Device, pool: TexturePool, scene: Scene, graph: Graph) -> None:
         self._device, self._pool, self._scene, self._graph = device, pool, scene, graph
-        quality = scene.pipeline.quality
-        self._offsets = sample_offsets_px(quality.supersampling)
-        self._by_contrast = quality.sampling == "contrast" and len(self._offsets) > 1
+        quality, diffusion = scene.pipeline.quality, scene.pipeline.diffusion
+        offsets = sample_offsets_px(quality.supersampling)
+        self._by_contrast = quality.sampling == "contrast" and len(offsets) > 1
         if self._by_contrast:
-            self._further = _further_graph(scene)
+            offsets = [CENTRE, *(offset for offset in offsets if offset != CENTRE)]
+        self._offsets = offsets
+        self._halved = diffusion.resolution == "half" and diffusion.method != "none"
+        self._further = _further_graph(scene)
+        # Shadow maps have a size of their own, and are the same for every sample.
+        self._kept = graph.kept({"radiance"})
+        self._shared = [name for name in reproject.GIVEN if name in graph.writes]
 
     def beauty(self, shot_at: ShotAt, timings: Timings) -> moderngl.Texture:
         """The picture's mean over samples; the caller gives it back to the pool."""
-        if self._by_contrast:
-            return self._where_contrast(shot_at, timings)
-        beauty, kept = None, self._graph.kept({"radiance"})
-        given: dict[str, moderngl.Texture] = {}
+        given = self._scattered(shot_at(halved=True), timings) if self._halved else {}
+        share, where = 1.0 / len(self._offsets), None
+        beauty: moderngl.Texture | None = None
         for number, offset in enumerate(self._offsets):
-            shot, wanted = shot_at(offset, number), {"radiance", *(kept if number == 0 else [])}
-            made = self._graph.run(self._device, self._pool, shot, wanted, given, timings)
-            given = given or {name: made[name] for name in kept}
+            alone = number == 0 and self._by_contrast
+            side = 1.0 if alone else 1.0 / self._scene.pipeline.quality.supersampling
+            shot = shot_at(offset, number, side)
+            radiance, given = self._sample(shot, number, given, timings, where)
             beauty = beauty or self._empty(shot)
-            self._add(made["radiance"], beauty, shot, 1.0 / len(self._offsets))
-            self._pool.give_back(made["radiance"])
-        self._give_back(given)
+            if alone:
+                self._add(radiance, beauty, shot, 1.0)
+                where = self._mark(radiance, shot)
+            self._add(radiance, beauty, shot, share, where, replaces=alone)
+            self._pool.give_back(radiance)
+        for texture in given.values():
+            self._pool.give_back(texture)
         assert beauty is not None
         return beauty
 
-    def _where_contrast(self, shot_at: ShotAt, timings: Timings) -> moderngl.Texture:
-        centre = shot_at((0.0, 0.0), 0)
-        kept = self._graph.kept({"radiance"})
-        shared = [name for name in reproject.GIVEN if name in self._graph.writes]
-        wanted = {"radiance", *kept, *shared}
-        made = self._graph.run(self._device, self._pool, centre, wanted, None, timings)
-        beauty = self._empty(centre)
-        self._add(made["radiance"], beauty, centre, 1.0)
-        where = self._mark(made["radiance"], centre)
-        offsets = [offset for offset in self._offsets if offset != (0.0, 0.0)]
-        share = 1.0 / (1 + len(offsets))
-        self._add(made["radiance"], beauty, centre, share, where, replaces=True)
-        self._pool.give_back(made["radiance"])
-        given = {name: made[name] for name in kept}
-        given |= {reproject.GIVEN[name]: made[name] for name in shared}
-        for number, offset in enumerate(offsets, 1):
-            shot = shot_at(offset, number)
-            more = self._further.run(
-                self._device, self._pool, shot, {"radiance"}, given, timings, where
-            )
-            self._add(more["radiance"], beauty, shot, share, where)
-            self._pool.give_back(more["radiance"])
-        self._give_back(given)
-        return beauty
+    def _sample(
+        self,
+        shot: Shot,
+        number: int,
+        given: dict[str, moderngl.Texture],
+        timings: Timings,
+        where: moderngl.Renderbuffer | None,
+    ) -> tuple[moderngl.Texture, dict[str, moderngl.Texture]]:
+        """Radiance of one sample, and what the samples after it are given."""
+        shares = self._by_contrast or self._halved
+        graph = self._further if self._halved or (shares and number > 0) else self._graph
+        if given:
+            made = graph.run(self._device, self._pool, shot, {"radiance"}, given, timings, where)
+            return made["radiance"], given
+        shared = self._shared if shares else []
+        wanted = {"radiance", *self._kept, *shared}
+        made = graph.run(self._device, self._pool, shot, wanted, None, timings)
+        return made["radiance"], self._to_give(made, shared)
 
-    def _give_back(self, given: Mapping[str, moderngl.Texture]) -> None:
-        for texture in given.values():
-            self._pool.give_back(texture)
+    def _scattered(self, shot: Shot, timings: Timings) -> dict[str, moderngl.Texture]:
+        """What every sample is given, from a picture of half the size."""
+        wanted = {*self._kept, *self._shared}
+        made = self._graph.run(self._device, self._pool, shot, wanted, None, timings)
+        return self._to_give(made, self._shared)
+
+    def _to_give(
+        self, made: Mapping[str, moderngl.Texture], shared: Sequence[str]
+    ) -> dict[str, moderngl.Texture]:
+        given = {name: made[name] for name in self._kept}
+        return given | {reproject.GIVEN[name]: made[name] for name in shared}
 
     def _empty(self, shot: Shot) -> moderngl.Texture:
         beauty = self._pool.take(shot.size, 4)

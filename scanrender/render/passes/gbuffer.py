@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import moderngl
@@ -10,6 +11,8 @@ from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
 from scanrender.render.scene import Scene, Shot
 
+# Mip levels finer than a texel a footprint: trilinear filtering blurs over two (decision 22).
+SHARPER = -1.0
 WRITES = (
     Buffer("position", exact=True),
     Buffer("normal_geometry"),
@@ -37,7 +40,7 @@ def passes(scene: Scene) -> list[Pass]:
                 "normal_map": maps["normal_ts"],
                 "ao_map": maps["ao"],
                 "skin_map": maps["skin"],
-                "lod_bias": scene.lod_bias(shot.sample),
+                "lod_bias": SHARPER + math.log2(shot.footprint_px),
                 "inside_albedo": scene.pipeline.view.inside_albedo,
             },
         )

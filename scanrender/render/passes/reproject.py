@@ -1,7 +1,8 @@
 """reproject: what scattered at the pixel's centre, for another sample of the pixel.
 
 Light that has scattered is smooth over a pixel of one surface: `sampling: contrast` scatters it
-once a pixel, and each further sample takes it from the neighbours that its own surface has.
+once a pixel, `resolution: half` once in four, and each sample takes it from the neighbours that its
+own surface has.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ def passes(scene: Scene) -> list[Pass]:
     ) -> None:
         program = scene.device.program("reproject")
         right, down = shot.jitter_px
+        halves = scene.pipeline.diffusion.resolution == "half"
         bind(
             program,
             {
@@ -33,6 +35,8 @@ def passes(scene: Scene) -> list[Pass]:
                 "centre_scattered": inputs[GIVEN["scattered"]],
                 "centre_position": inputs[GIVEN["position"]],
                 "moved_px": (right, -down),
+                "scale": 0.5 if halves else 1.0,
+                "size_px": tuple(map(float, shot.size)),
                 **shot.screen_uniforms,
             },
         )
