@@ -20,6 +20,12 @@ from scanrender.cli import options
     show_default=True,
     help="Which of close, mid and far: a head of 90, 45 or 15 % of the picture's height.",
 )
+@click.option(
+    "--prepare",
+    "prepares",
+    is_flag=True,
+    help="Study triangles and map sizes of SCAN, a raw scan, instead.",
+)
 @options.overrides
 @options.out("out/trade")
 @options.as_json
@@ -28,6 +34,7 @@ def command(
     pipeline: str,
     scan: Path | None,
     views: str,
+    prepares: bool,
     overrides: tuple[str, ...],
     out: Path,
     as_json: bool,
@@ -51,6 +58,9 @@ def command(
 
     names = chosen(views, ("close", "mid", "far"))
     settings = load_pipeline(pipeline, overrides)
+    if prepares:
+        _study_preparation(pipeline, scan, names, out, overrides, as_json)
+        return
     asset = own_head(out, say) if scan is None else options.existing(scan, "scan")
     if not (asset / "asset.json").exists():
         from scanrender.scan.prepare import prepare
@@ -67,3 +77,25 @@ def command(
         click.echo(json.dumps(rows, indent=2))
     else:
         click.echo("\n".join(str(file) for file in files))
+
+
+def _study_preparation(
+    pipeline: str,
+    scan: Path | None,
+    views: list[str],
+    out: Path,
+    overrides: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    from scanrender.asset import is_asset
+    from scanrender.errors import UsageError
+    from scanrender.measure.trade_prep import run_prep_trade
+
+    if scan is None or is_asset(options.existing(scan, "scan")):
+        raise UsageError(
+            "--prepare needs a raw scan", fix="scanrender trade --prepare PIPELINE SCAN"
+        )
+    rows = run_prep_trade(
+        pipeline, scan, views, out, lambda text: click.echo(text, err=True), overrides
+    )
+    click.echo(json.dumps(rows, indent=2) if as_json else str(out / "preparation.md"))

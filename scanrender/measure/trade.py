@@ -34,6 +34,7 @@ from scanrender.render.frame import Renderer
 from scanrender.render.samples import sample_offsets_px
 from scanrender.render.scene import profile_of
 from scanrender.settings.loading import load_pipeline
+from scanrender.settings.pipeline import Pipeline
 
 TRUTH_SUPERSAMPLING = 2
 # Frames of which the median counts: three, and more where they are quick, since a GPU that has just
@@ -71,7 +72,9 @@ def run_trade(
         for number, point in enumerate(waiting):
             row = {
                 "case": f"{view}: {name_of(point)}", "view": view, "point": point,
-                **_measured(gl, asset, pipeline, (*framing, *overrides(point)), truth),
+                **measured(
+                    gl, asset, load_pipeline(pipeline, (*framing, *overrides(point))), truth
+                ),
                 "truth": truth["notes"], "renderer": gl.renderer, "stamp": stamp,
             }  # fmt: skip
             rows.append(row)
@@ -81,10 +84,11 @@ def run_trade(
     return rows
 
 
-def _measured(
-    gl: Device, asset: Asset, pipeline: str, settings: Sequence[str], truth: Mapping[str, Any]
+def measured(
+    gl: Device, asset: Asset, settings: Pipeline, truth: Mapping[str, Any]
 ) -> dict[str, Any]:
-    renderer = Renderer(gl, asset, load_pipeline(pipeline, settings))
+    """Median milliseconds of a frame, and its figures against the truth."""
+    renderer = Renderer(gl, asset, settings)
     frame = renderer.render(renderer.view(0))  # compiles, and fills the pool of textures
     seconds: list[float] = []
     while len(seconds) < REPEATS or (sum(seconds) < MEASURED_S and len(seconds) < MOST_REPEATS):
