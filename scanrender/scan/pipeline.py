@@ -75,7 +75,8 @@ def prepare_here(
     UsageError, ConfigError, ScanError, StageError.
     """
     early = () if as_is else ("charts", "simplify")
-    with started_early(*early[: 2 if path.stat().st_size > SIMPLIFIED_BYTES else 1]):
+    needed = early[: 2 if path.stat().st_size > SIMPLIFIED_BYTES else 1]
+    with started_early(*needed, copied=True):
         return _prepared(path, scan, prep, Journal(progress), as_is, views)
 
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from scanrender.errors import ScanrenderError
-from scanrender.scan.child import GO, LATER, PARENT, load_arrays, save_arrays
+from scanrender.scan.child import GO, PARENT, load_arrays, save_arrays
 from scanrender.scan.memory import OUT_OF_MEMORY, limit_memory
 
 Table = dict[str, Any]
@@ -99,9 +99,10 @@ TASKS: dict[str, Task] = {
 }
 
 
-# What a child that was started early loads while it waits.
+# What a child loads while it waits.
 LIBRARIES = {
-    "simplify": ("scanrender.scan.simplify", "fast_simplification"),
+    "prepare": ("scanrender.scan.pipeline",),
+    "simplify": ("scanrender.scan.collapse", "fast_simplification", "igl"),
     "charts": ("scanrender.scan.unwrap_charts", "igl"),
 }
 
@@ -110,7 +111,7 @@ def main(arguments: list[str]) -> int:
     task, folder = arguments[0], Path(arguments[1])
     tie_to_parent()
     limit_memory()
-    if LATER in arguments[2:] and not _told_to_go(task):
+    if PARENT in os.environ and not _told_to_go(task):
         return 0
     watch_parent()
     stage = [task]
