@@ -41,7 +41,9 @@ def command(
     """Prepare SCAN into the asset folder --out, which Blender or any glTF viewer opens too."""
     from scanrender.scan.child import started_early
 
-    with started_early("prepare", own_group=True):  # it loads its libraries beside this process
+    with started_early(
+        {"prepare": {}}, own_group=True
+    ):  # it loads its libraries beside this process
         asset, sheet = _prepared(scan, pipeline, overrides, out, as_is, progress_kind)
     if as_json:
         click.echo(json.dumps({"asset": str(out), **asset.info}, indent=2))

@@ -34,6 +34,7 @@ if TYPE_CHECKING:  # NumPy takes a fifth of a second that the child's own start 
     import numpy.typing as npt
 
 Arrays: TypeAlias = "Mapping[str, npt.NDArray[Any]]"
+Expected: TypeAlias = Mapping[str, int]
 Progress = Callable[[str, float], None]
 # glibc: temporary arrays up to 32 MiB come from memory that was used before, without a page fault
 # for each 4 KiB, a sixth of the time of cleaning; at most 256 MiB of it is kept. What is new comes
@@ -50,16 +51,21 @@ PARENT = "SCANRENDER_PARENT"  # environment variable: the process a worker must 
 
 
 def run_task(
-    task: str, arrays: Arrays, params: Mapping[str, Any], timeout_s: float
+    task: str,
+    arrays: Arrays,
+    params: Mapping[str, Any],
+    timeout_s: float,
+    handed_over: Callable[[], None] = lambda: None,
 ) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
     """Run one native task (`worker.TASKS`) in a child. Returns its arrays and its report.
 
-    A child that `started_early` holds for it is used. Raises StageError when the child crashes or
-    takes longer than timeout_s.
+    A child that `started_early` holds for it is used. `handed_over` is called once it has its
+    input. Raises StageError when the child crashes or takes longer than timeout_s.
     """
     with child_for(task) as child:
         save_arrays(child.folder / "in", arrays)
         (child.folder / "params.json").write_text(json.dumps(dict(params)), encoding="utf-8")
+        handed_over()
         child.run(timeout_s)
         result = load_arrays(child.folder / "out")
         report = json.loads((child.folder / "report.json").read_text(encoding="utf-8"))
@@ -122,17 +128,20 @@ def child_for(task: str, own_group: bool = False) -> Iterator[Child]:
     if early:
         yield early
         return
-    with _begun(task, False, own_group) as child:
+    with _begun(task, {}, False, own_group) as child:
         yield child
 
 
 @contextlib.contextmanager
-def started_early(*tasks: str, copied: bool = False, own_group: bool = False) -> Iterator[None]:
-    """Children for the first use of each of the tasks load their libraries while this process still
-    makes their input. `copied` from this process they have those that it has: a second less."""
+def started_early(
+    tasks: Mapping[str, Expected], copied: bool = False, own_group: bool = False
+) -> Iterator[None]:
+    """Children for the first use of each of the tasks load their libraries, and make room for what
+    is to be expected (`worker.ROOM`), while this process still makes their input. `copied` from
+    this process they have those that it has: a second less."""
     with ExitStack() as stack:
-        for task in tasks:
-            _early[task] = stack.enter_context(_begun(task, copied, own_group))
+        for task, expected in tasks.items():
+            _early[task] = stack.enter_context(_begun(task, expected, copied, own_group))
         try:
             yield
         finally:
@@ -141,33 +150,32 @@ def started_early(*tasks: str, copied: bool = False, own_group: bool = False) ->
 
 
 @contextlib.contextmanager
-def _begun(task: str, copied: bool, own_group: bool) -> Iterator[Child]:
+def _begun(task: str, expected: Expected, copied: bool, own_group: bool) -> Iterator[Child]:
     with scratch_folder() as folder, tempfile.TemporaryFile() as stderr:
+        arguments = [task, str(folder), json.dumps(dict(expected))]
         if copied and hasattr(os, "fork"):
-            process: subprocess.Popen[bytes] | Copy = _copied(task, folder, stderr)
+            process: subprocess.Popen[bytes] | Copy = _copied(arguments, stderr)
         else:
-            process = _started(task, folder, stderr, own_group)
+            process = _started(arguments, stderr, own_group)
         try:
             yield Child(task, folder, process, stderr, own_group)
         finally:
             _close(process, own_group)
 
 
-def _copied(task: str, folder: Path, stderr: IO[bytes]) -> Copy:
+def _copied(arguments: list[str], stderr: IO[bytes]) -> Copy:
     from scanrender.scan.worker import main
 
-    return Copy(lambda: main([task, str(folder)]), stderr, _environment(folder))
+    return Copy(lambda: main(arguments), stderr, _environment(arguments[1]))
 
 
-def _started(
-    task: str, folder: Path, stderr: IO[bytes], own_group: bool
-) -> subprocess.Popen[bytes]:
+def _started(arguments: list[str], stderr: IO[bytes], own_group: bool) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
-        [sys.executable, "-m", "scanrender.scan.worker", task, str(folder)],
+        [sys.executable, "-m", "scanrender.scan.worker", *arguments],
         stdin=subprocess.PIPE,  # its end tells the child that we are gone
         stdout=subprocess.PIPE,
         stderr=stderr,
-        env=_environment(folder),
+        env=_environment(arguments[1]),
         start_new_session=own_group,
     )
 
@@ -263,7 +271,7 @@ def _kill(process: subprocess.Popen[bytes] | Copy, own_group: bool) -> None:
     process.wait()
 
 
-def _environment(folder: Path) -> dict[str, str]:
+def _environment(folder: str) -> dict[str, str]:
     """The parent's environment, with this very package importable and hashing fixed.
 
     The child's temporary files lie in `folder`, which the parent removes even if the child dies.
@@ -271,4 +279,4 @@ def _environment(folder: Path) -> dict[str, str]:
     root = str(Path(errors.__file__).resolve().parents[1])
     paths = [root, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
     own = {"PYTHONPATH": os.pathsep.join(paths), "PYTHONHASHSEED": "0"}
-    return {**_DEFAULTS, **os.environ, **own, "TMPDIR": str(folder), PARENT: str(os.getpid())}
+    return {**_DEFAULTS, **os.environ, **own, "TMPDIR": folder, PARENT: str(os.getpid())}

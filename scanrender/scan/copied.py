@@ -69,6 +69,7 @@ def _become(
             os.dup2(descriptor, number)
         # The ends of other children's pipes: they would not learn that their parent has closed its.
         os.closerange(3, _ALL_DESCRIPTORS)
+        sys.stderr = os.fdopen(2, "w", closefd=False)  # whatever it was: a test's, say
         os.environ.update(environment)
         tempfile.tempdir = None  # that of the environment
         code = main()

@@ -1,4 +1,4 @@
-"""The program that runs inside the child processes: `python -m scanrender.scan.worker TASK FOLDER`.
+"""The program inside the child processes: `python -m scanrender.scan.worker TASK FOLDER EXPECTED`.
 
 Only here are pymeshlab, xatlas, libigl's solvers and fast-simplification called: they can crash,
 hang, hold the interpreter lock for minutes, or carry the GPL (pymeshlab). The parent is `child`.
@@ -14,7 +14,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -107,11 +107,22 @@ LIBRARIES = {
 }
 
 
+def _room_to_simplify(faces: int, vertices: int) -> None:
+    from scanrender.scan.collapse import make_room
+
+    make_room(faces, vertices)
+
+
+# What it does then, with what is known of its input.
+ROOM: dict[str, Callable[..., None]] = {"simplify": _room_to_simplify}
+
+
 def main(arguments: list[str]) -> int:
+    """TASK FOLDER, and a JSON object for ROOM; returns the exit code."""
     task, folder = arguments[0], Path(arguments[1])
     tie_to_parent()
     limit_memory()
-    if PARENT in os.environ and not _told_to_go(task):
+    if PARENT in os.environ and not _told_to_go(task, json.loads(arguments[2])):
         return 0
     watch_parent()
     stage = [task]
@@ -139,10 +150,12 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _told_to_go(task: str) -> bool:
+def _told_to_go(task: str, expected: Mapping[str, int]) -> bool:
     """Load what the task needs, and wait; false when the parent has no work after all."""
     for module in LIBRARIES.get(task, ()):
         importlib.import_module(module)
+    if task in ROOM and expected:
+        ROOM[task](**expected)
     return os.read(0, len(GO)) == GO
 
 
