@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 _CHUNK = 40_000
+LEAST_DOUBLE_AREA = 1e-12  # in texels; of a triangle without one no point is known
 
 
 @dataclass(frozen=True)
@@ -80,13 +81,29 @@ def spans(
     return index, face, bary
 
 
+def covered(uv: npt.NDArray[Any], faces: npt.NDArray[Any], size: int) -> npt.NDArray[np.int64]:
+    """The flat texel index of each of the same pairs alone."""
+    corner = uv[faces].astype(np.float64) * size - 0.5
+    face, row, column = _centres(corner, size)
+    valid = np.abs(_double_areas(corner)) > LEAST_DOUBLE_AREA
+    return np.asarray((row * size + column)[valid[face]])
+
+
 def _spans(uv: npt.NDArray[Any], faces: npt.NDArray[Any], size: int, first: int) -> Any:
     corner = uv[faces].astype(np.float64) * size - 0.5  # texel centres are the integers
+    face, row, column = _centres(corner, size)
+    bary, valid = _barycentric(corner, face, column, row)
+    index = row * size + column
+    return index[valid], (face[valid] + first).astype(np.int32), bary[valid]
+
+
+def _centres(corner: npt.NDArray[Any], size: int) -> tuple[Any, Any, Any]:
+    """Face, row and column of each texel centre that lies in a triangle (m, 3, 2) in texels."""
     y = corner[:, :, 1]
     top = np.clip(np.ceil(y.min(axis=1)), 0, size).astype(np.int64)
     bottom = np.clip(np.floor(y.max(axis=1)), -1, size - 1).astype(np.int64)
     rows = np.maximum(bottom - top + 1, 0)
-    triangle = np.repeat(np.arange(len(faces)), rows)
+    triangle = np.repeat(np.arange(len(corner)), rows)
     row = np.arange(rows.sum()) - np.repeat(np.cumsum(rows) - rows, rows) + top[triangle]
     low, high = _crossings(corner[triangle], row.astype(np.float64))
     left = np.clip(np.ceil(low - 1e-9), 0, size).astype(np.int64)
@@ -94,10 +111,12 @@ def _spans(uv: npt.NDArray[Any], faces: npt.NDArray[Any], size: int, first: int)
     width = np.maximum(right - left + 1, 0)
     span = np.repeat(np.arange(len(width)), width)
     column = np.arange(width.sum()) - np.repeat(np.cumsum(width) - width, width) + left[span]
-    face = triangle[span]
-    bary, valid = _barycentric(corner, face, column, row[span])
-    index = row[span] * size + column
-    return index[valid], (face[valid] + first).astype(np.int32), bary[valid]
+    return triangle[span], row[span], column
+
+
+def _double_areas(corner: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    ab, ac = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    return np.asarray(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
 
 
 def _crossings(corner: npt.NDArray[Any], row: npt.NDArray[Any]) -> tuple[Any, Any]:
@@ -121,8 +140,8 @@ def _barycentric(
     """(k, 3) clamped barycentric coordinates; false where the triangle has no area."""
     a, b, c = corner[:, 0], corner[:, 1], corner[:, 2]
     ab, ac = b - a, c - a
-    area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
-    valid = np.abs(area) > 1e-12
+    area = _double_areas(corner)
+    valid = np.abs(area) > LEAST_DOUBLE_AREA
     inverse = np.where(valid, 1.0 / np.where(valid, area, 1.0), 0.0)
     px, py = x - a[face, 0], y - a[face, 1]
     v = (px * ac[face, 1] - py * ac[face, 0]) * inverse[face]
