@@ -189,8 +189,8 @@ def _write_map(folder: Path, name: str, pixels: images.Image) -> None:
     if name == "albedo":
         images.write_srgb_png(path, pixels)
     elif name == "normal_ts":
-        encoded = np.clip(pixels * 0.5 + 0.5, 0.0, 1.0) * 65535.0 + 0.5
-        images.write_image(path, encoded.astype(np.uint16), attributes=images.FAST_PNG)
+        levels = images.by_rows(pixels, np.uint16, _levels16)
+        images.write_image(path, levels, attributes=images.FAST_PNG)
     else:
         channels = ("X", "Y", "Z") if MAPS[name].channels == 3 else ("Y",)
         images.write_image(
@@ -199,6 +199,10 @@ def _write_map(folder: Path, name: str, pixels: images.Image) -> None:
             channels=channels,
             attributes={"compression": "zip", "DateTime": "1970:01:01 00:00:00"},
         )
+
+
+def _levels16(vectors: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    return np.asarray(np.clip(vectors * 0.5 + 0.5, 0.0, 1.0) * 65535.0 + 0.5)
 
 
 def _read_map(folder: Path, name: str) -> images.Image:

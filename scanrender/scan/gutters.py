@@ -25,12 +25,11 @@ class Gutters:
         self._source = self._source.reshape(-1)[self._empty]
 
     def fill(self, image: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-        """A filled copy of (h, w, c)."""
-        filled = np.array(image, np.float32)
+        """The same (h, w, c) array, filled: of a large map a copy is mostly fresh memory."""
         if self._empty is not None:
-            flat = filled.reshape(-1, filled.shape[2])
+            flat = image.reshape(-1, image.shape[2])
             flat[self._empty] = np.take(flat, self._source, axis=0)
-        return filled
+        return image
 
 
 def _nearest(covered: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:

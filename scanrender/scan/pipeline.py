@@ -164,9 +164,9 @@ def _shapes(
         handed_over.wait()
         with journal.stage("raw surface"):
             high = make_high(surface, prep.bake)
-            # Needed later, and time now: the collapse still runs beside this.
+            # Needed later, and time now: the collapse still runs beside this. Not so the tree: it
+            # holds the interpreter's lock so long that unwrapping would begin late.
             high.target.build()
-            high.target.make_tree()
             _ = high.target.face_normals
         positions, faces = simple.result()
         with journal.stage("occlusion, thickness"):

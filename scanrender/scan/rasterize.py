@@ -26,10 +26,10 @@ class Texels:
     face: npt.NDArray[np.int32]
     bary: npt.NDArray[np.float32]
 
-    def scatter(self, values: npt.NDArray[Any], fill: float = 0.0) -> npt.NDArray[np.float32]:
-        """A (size, size, c) map with `values` (k, c) at the covered texels."""
+    def scatter(self, values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+        """A (size, size, c) map with `values` (k, c) at the covered texels, 0 elsewhere."""
         values = values.reshape(len(self.index), -1)
-        out = np.full((self.size * self.size, values.shape[1]), fill, np.float32)
+        out = np.zeros((self.size * self.size, values.shape[1]), np.float32)
         out[self.index] = values
         return out.reshape(self.size, self.size, -1)
 
