@@ -89,6 +89,14 @@ def load_arrays(folder: Path) -> dict[str, npt.NDArray[Any]]:
     return {path.stem: np.load(path, allow_pickle=False) for path in sorted(folder.glob("*.npy"))}
 
 
+def mapped_arrays(folder: Path) -> dict[str, npt.NDArray[Any]]:
+    """The same without a copy, as long as the files are there; changes stay in this process."""
+    import numpy as np
+
+    paths = sorted(folder.glob("*.npy"))
+    return {path.stem: np.asarray(np.load(path, "c", allow_pickle=False)) for path in paths}
+
+
 @dataclass(frozen=True)
 class Child:
     """A process that waits for the input of its task in `folder`. With own_group it leads a process

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 FINE_PX = 2048  # maps from this size on look for their neighbours at half the resolution
 
@@ -34,6 +33,8 @@ class Gutters:
 
 def _nearest(covered: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
     """(h, w) flat index of the nearest covered texel."""
+    from scipy import ndimage
+
     row, column = ndimage.distance_transform_edt(
         ~covered, return_distances=False, return_indices=True
     )

@@ -175,6 +175,8 @@ def _shapes(
         with journal.stage("distance"):
             lost = surface_distance(high.target, positions, faces)
             cage = measured_cage(positions, faces, high.target)
+        import scipy.ndimage  # noqa: F401  for the gutters: this process only waits now
+
         low = replace(unwrapped.result(), cage=cage)
         lost["self_intersecting_faces"] = crossing.result()
     return high, low, shape, lost

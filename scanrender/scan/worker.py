@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from scanrender.errors import ScanrenderError
-from scanrender.scan.child import GO, PARENT, load_arrays, save_arrays
+from scanrender.scan.child import GO, PARENT, mapped_arrays, save_arrays
 from scanrender.scan.memory import OUT_OF_MEMORY, limit_memory
 
 Table = dict[str, Any]
@@ -199,7 +199,7 @@ def _write_error(protocol: Any, what: str, fix: str | None = None) -> None:
 
 def _run(task: str, folder: Path) -> None:
     params = json.loads((folder / "params.json").read_text(encoding="utf-8"))
-    result, report = TASKS[task](load_arrays(folder / "in"), params)
+    result, report = TASKS[task](mapped_arrays(folder / "in"), params)
     save_arrays(folder / "out", result)
     (folder / "report.json").write_text(json.dumps(report), encoding="utf-8")
 
