@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import json
 import os
+import struct
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -37,6 +38,8 @@ FORMAT_VERSION = 1
 PREP_REPORT, PREP_SHEET, PREP_VIEWS = "prep_report.json", "prep_sheet.png", "prep_views.npz"
 LOD_FILE = "lod{}.glb"
 METRES_PER_MM = 0.001
+# glTF's numbers for types of components, and for what a buffer view holds.
+_UINT32, _FLOAT32, _VERTICES, _INDICES = 5125, 5126, 34962, 34963
 
 
 @dataclass(frozen=True)
@@ -189,8 +192,8 @@ def _write_map(folder: Path, name: str, pixels: images.Image) -> None:
     if name == "albedo":
         images.write_srgb_png(path, pixels)
     elif name == "normal_ts":
-        encoded = np.clip(pixels * 0.5 + 0.5, 0.0, 1.0) * 65535.0 + 0.5
-        images.write_image(path, encoded.astype(np.uint16), attributes=images.FAST_PNG)
+        levels = images.by_rows(pixels, np.uint16, _levels16)
+        images.write_image(path, levels, attributes=images.FAST_PNG)
     else:
         channels = ("X", "Y", "Z") if MAPS[name].channels == 3 else ("Y",)
         images.write_image(
@@ -199,6 +202,10 @@ def _write_map(folder: Path, name: str, pixels: images.Image) -> None:
             channels=channels,
             attributes={"compression": "zip", "DateTime": "1970:01:01 00:00:00"},
         )
+
+
+def _levels16(vectors: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    return np.asarray(np.clip(vectors * 0.5 + 0.5, 0.0, 1.0) * 65535.0 + 0.5)
 
 
 def _read_map(folder: Path, name: str) -> images.Image:
@@ -216,82 +223,100 @@ def _read_map(folder: Path, name: str) -> images.Image:
 
 
 def _write_glb(path: Path, mesh: Mesh, maps: Mapping[str, images.Image]) -> None:
-    import pygltflib as gltf
+    """glTF 2.0 in one file: Khronos specification, sections 3 and 4.4.
 
-    low, high = mesh.bounds_mm
+    By hand: the libraries for it take longer to load than a mesh takes to write.
+    """
     arrays = [
-        (mesh.positions_mm, gltf.VEC3, gltf.FLOAT, gltf.ARRAY_BUFFER),
-        (mesh.normals, gltf.VEC3, gltf.FLOAT, gltf.ARRAY_BUFFER),
-        (mesh.tangents, gltf.VEC4, gltf.FLOAT, gltf.ARRAY_BUFFER),
-        (mesh.uv, gltf.VEC2, gltf.FLOAT, gltf.ARRAY_BUFFER),
-        (mesh.faces.reshape(-1), gltf.SCALAR, gltf.UNSIGNED_INT, gltf.ELEMENT_ARRAY_BUFFER),
-    ]
-    document = gltf.GLTF2(asset=gltf.Asset(version="2.0", generator=f"scanrender {__version__}"))
+        (mesh.positions_mm, "VEC3"), (mesh.normals, "VEC3"), (mesh.tangents, "VEC4"),
+        (mesh.uv, "VEC2"), (mesh.faces.reshape(-1), "SCALAR"),
+    ]  # fmt: skip
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
     blob = b""
-    for index, (array, kind, component, target) in enumerate(arrays):
-        dtype = np.uint32 if component == gltf.UNSIGNED_INT else np.float32
-        data = np.ascontiguousarray(array, dtype=dtype).tobytes()
-        document.bufferViews.append(
-            gltf.BufferView(buffer=0, byteOffset=len(blob), byteLength=len(data), target=target)
+    for array, kind in arrays:
+        data = np.ascontiguousarray(array, "<u4" if kind == "SCALAR" else "<f4").tobytes()
+        target = _INDICES if kind == "SCALAR" else _VERTICES
+        views.append(
+            {"buffer": 0, "byteOffset": len(blob), "byteLength": len(data), "target": target}
         )
-        document.accessors.append(
-            gltf.Accessor(bufferView=index, componentType=component, count=len(array), type=kind)
+        component = _UINT32 if kind == "SCALAR" else _FLOAT32
+        count, view = len(array), len(accessors)
+        accessors.append(
+            {"bufferView": view, "componentType": component, "count": count, "type": kind}
         )
         blob += data
-    document.accessors[0].min, document.accessors[0].max = low.tolist(), high.tolist()
-    document.buffers = [gltf.Buffer(byteLength=len(blob))]
-    material = _gltf_material(gltf, document, maps)
-    attributes = gltf.Attributes(POSITION=0, NORMAL=1, TANGENT=2, TEXCOORD_0=3)
-    primitive = gltf.Primitive(attributes=attributes, indices=4, material=material)
-    document.meshes = [gltf.Mesh(primitives=[primitive], name="skin")]
-    document.nodes = [gltf.Node(name="root_mm", scale=[METRES_PER_MM] * 3, mesh=0)]
-    document.scenes = [gltf.Scene(nodes=[0])]
-    document.scene = 0
-    document.set_binary_blob(blob)
-    document.save_binary(str(path))
+    low, high = mesh.bounds_mm
+    accessors[0].update(min=low.tolist(), max=high.tolist())
+    attributes = {"POSITION": 0, "NORMAL": 1, "TANGENT": 2, "TEXCOORD_0": 3}
+    document = {
+        "asset": {"version": "2.0", "generator": f"scanrender {__version__}"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"name": "root_mm", "scale": [METRES_PER_MM] * 3, "mesh": 0}],
+        "meshes": [
+            {
+                "name": "skin",
+                "primitives": [{"attributes": attributes, "indices": 4, "material": 0}],
+            }
+        ],
+        **_gltf_material(maps),
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(blob)}],
+    }
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text
+    chunks += struct.pack("<I4s", len(blob), b"BIN\0") + blob
+    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
 
 
-def _gltf_material(gltf: Any, document: Any, maps: Mapping[str, images.Image]) -> int:
+def _gltf_material(maps: Mapping[str, images.Image]) -> dict[str, Any]:
     """Reference albedo and normal by file name, so that the folder opens textured elsewhere."""
-    document.samplers = [gltf.Sampler(magFilter=9729, minFilter=9987, wrapS=33071, wrapT=33071)]
-    index = {}
-    for name in ("albedo", "normal_ts"):
-        if name in maps:
-            document.images.append(gltf.Image(uri=MAPS[name].file))
-            document.textures.append(gltf.Texture(source=len(document.images) - 1, sampler=0))
-            index[name] = len(document.textures) - 1
+    shown = [name for name in ("albedo", "normal_ts") if name in maps]
     # 0.45 is the GGX roughness that looks closest to our two Beckmann lobes in other viewers.
-    pbr = gltf.PbrMetallicRoughness(metallicFactor=0.0, roughnessFactor=0.45)
-    material = gltf.Material(name="skin", pbrMetallicRoughness=pbr)
-    if "albedo" in index:
-        pbr.baseColorTexture = gltf.TextureInfo(index=index["albedo"])
-    if "normal_ts" in index:
-        material.normalTexture = gltf.NormalMaterialTexture(index=index["normal_ts"])
-    document.materials = [material]
-    return 0
+    pbr: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": 0.45}
+    material: dict[str, Any] = {"name": "skin", "pbrMetallicRoughness": pbr}
+    if "albedo" in shown:
+        pbr["baseColorTexture"] = {"index": shown.index("albedo")}
+    if "normal_ts" in shown:
+        material["normalTexture"] = {"index": shown.index("normal_ts")}
+    if not shown:
+        return {"materials": [material]}
+    return {
+        "materials": [material],
+        "samplers": [{"magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071}],
+        "images": [{"uri": MAPS[name].file} for name in shown],
+        "textures": [{"source": source, "sampler": 0} for source in range(len(shown))],
+    }
 
 
 def _read_glb(path: Path) -> Mesh:
-    import pygltflib as gltf
-
+    """What `_write_glb` wrote, or another tool from it in the same layout."""
     try:
-        document = gltf.GLTF2.load_binary(str(path))
-        primitive = document.meshes[0].primitives[0]
-        attributes = primitive.attributes
-        blob = document.binary_blob()
+        data = path.read_bytes()
+        magic, version, size = struct.unpack_from("<4sII", data)
+        if magic != b"glTF" or version != 2 or size != len(data):
+            raise ValueError("it is no GLB, or not all of one")
+        (text_size,) = struct.unpack_from("<I", data, 12)
+        document, start = json.loads(data[20 : 20 + text_size]), 28 + text_size
+        primitive = document["meshes"][0]["primitives"][0]
+        attributes = primitive["attributes"]
 
-        def array(index: int, dtype: Any, width: int) -> npt.NDArray[Any]:
-            accessor = document.accessors[index]
-            view = document.bufferViews[accessor.bufferView]
-            flat = np.frombuffer(blob, dtype, accessor.count * width, view.byteOffset or 0)
+        def array(index: int, dtype: str, width: int) -> npt.NDArray[Any]:
+            accessor = document["accessors"][index]
+            view = document["bufferViews"][accessor["bufferView"]]
+            offset = start + view.get("byteOffset", 0)
+            flat = np.frombuffer(data, dtype, accessor["count"] * width, offset)
             return flat.reshape(-1, width).copy()
 
         return Mesh(
-            positions_mm=array(attributes.POSITION, np.float32, 3),
-            normals=array(attributes.NORMAL, np.float32, 3),
-            tangents=array(attributes.TANGENT, np.float32, 4),
-            uv=array(attributes.TEXCOORD_0, np.float32, 2),
-            faces=array(primitive.indices, np.uint32, 1).reshape(-1, 3),
+            positions_mm=array(attributes["POSITION"], "<f4", 3),
+            normals=array(attributes["NORMAL"], "<f4", 3),
+            tangents=array(attributes["TANGENT"], "<f4", 4),
+            uv=array(attributes["TEXCOORD_0"], "<f4", 2),
+            faces=array(primitive["indices"], "<u4", 1).reshape(-1, 3),
         )
-    except Exception as error:  # pygltflib raises whatever its parser met
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, struct.error) as error:
         raise ScanError(f"cannot read {path}: {error}", str(path), "prepare it again") from error

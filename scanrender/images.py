@@ -6,7 +6,7 @@ OpenImageIO reports failure by return values and `geterror()`; every call is che
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ Image = npt.NDArray[np.float32]
 MAX_PIXELS = 32768 * 32768
 MAX_STORED_BYTES = 4 << 30
 _IMAGE_AGAIN = "export the image again, or remove it and what names it"
+_ROWS = 64
 _TIFF_LAB = (8, 9, 10)
 
 
@@ -134,13 +135,28 @@ def write_image(
 
 def write_srgb_png(path: Path | str, linear: npt.NDArray[Any]) -> Path:
     """Write linear Rec.709 (h, w, 3) as an 8-bit sRGB PNG."""
-    return write_png8(path, srgb_from_linear(linear))
+    levels = by_rows(linear, np.uint8, lambda rows: _levels8(srgb_from_linear(rows)))
+    return write_image(path, levels, attributes=FAST_PNG)
 
 
 def write_png8(path: Path | str, encoded: npt.NDArray[Any]) -> Path:
     """Write already encoded values in [0, 1] as an 8-bit PNG."""
-    levels = np.clip(np.nan_to_num(encoded), 0.0, 1.0) * 255.0 + 0.5
-    return write_image(path, levels.astype(np.uint8), attributes=FAST_PNG)
+    return write_image(path, by_rows(encoded, np.uint8, _levels8), attributes=FAST_PNG)
+
+
+def _levels8(encoded: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    return np.asarray(np.clip(np.nan_to_num(encoded), 0.0, 1.0) * 255.0 + 0.5)
+
+
+def by_rows(
+    image: npt.NDArray[Any], dtype: Any, encode: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
+) -> npt.NDArray[Any]:
+    """encode(image) as whole numbers, some rows at a time: the temporary arrays of a large map
+    would be fresh memory, which takes longer than the sums."""
+    levels = np.empty(image.shape, dtype)
+    for start in range(0, len(image), _ROWS):
+        levels[start : start + _ROWS] = encode(image[start : start + _ROWS])
+    return levels
 
 
 # Level 1 after the "up" filter (32): of a 4096 x 4096 normal map a third of the time that zlib's

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from scanrender.cli import options
+
+if TYPE_CHECKING:
+    from scanrender.asset import Asset
 
 
 @click.command("prep")
@@ -36,6 +39,36 @@ def command(
     as_json: bool,
 ) -> None:
     """Prepare SCAN into the asset folder --out, which Blender or any glTF viewer opens too."""
+    from scanrender.scan.child import started_early
+
+    with started_early(
+        {"prepare": {}}, own_group=True
+    ):  # it loads its libraries beside this process
+        asset, sheet = _prepared(scan, pipeline, overrides, out, as_is, progress_kind)
+    if as_json:
+        click.echo(json.dumps({"asset": str(out), **asset.info}, indent=2))
+        return
+    low, high = asset.mesh.bounds_mm
+    size = " x ".join(f"{side:.0f}" for side in high - low)
+    maps = ", ".join(asset.info["maps"])
+    click.echo(f"{out}/: {len(asset.mesh.faces):,} triangles, {size} mm, maps: {maps}")
+    for sentence in _what_was_done(asset.info["stages"]):
+        click.echo(f"  {sentence}")
+    if sheet is not None:
+        click.echo(f"  what was done and lost: {sheet}")
+    for sentence in asset.info.get("warnings", []):
+        click.echo(f"  warning: {sentence}")
+
+
+def _prepared(
+    scan: Path,
+    pipeline: str,
+    overrides: tuple[str, ...],
+    out: Path,
+    as_is: bool,
+    progress_kind: str,
+) -> tuple[Asset, Path | None]:
+    """The asset without its maps, and where the picture sheet is, if there is one."""
     from scanrender.cli.progress import progress
     from scanrender.settings.loading import load_pipeline
 
@@ -52,20 +85,7 @@ def command(
         asset = prepare(
             scan, settings.scan, settings.prep, out, progress=show, as_is=as_is, maps=()
         )
-        sheet = draw_prep_sheet(out)
-    if as_json:
-        click.echo(json.dumps({"asset": str(out), **asset.info}, indent=2))
-        return
-    low, high = asset.mesh.bounds_mm
-    size = " x ".join(f"{side:.0f}" for side in high - low)
-    maps = ", ".join(asset.info["maps"])
-    click.echo(f"{out}/: {len(asset.mesh.faces):,} triangles, {size} mm, maps: {maps}")
-    for sentence in _what_was_done(asset.info["stages"]):
-        click.echo(f"  {sentence}")
-    if sheet is not None:
-        click.echo(f"  what was done and lost: {sheet}")
-    for sentence in asset.info.get("warnings", []):
-        click.echo(f"  warning: {sentence}")
+        return asset, draw_prep_sheet(out)
 
 
 def _what_was_done(stages: Iterable[Mapping[str, Any]]) -> Iterator[str]:

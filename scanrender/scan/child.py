@@ -1,10 +1,10 @@
 """Child processes that may crash, hang or be killed without taking the parent along.
 
-A child never outlives its parent (`worker.tie_to_parent`). The parent writes arrays into a scratch
-folder, starts `python -m scanrender.scan.worker` and reads others back. Standard output of the
-child carries one JSON line per event: `{"stage": name, "fraction": x}`, `{"error": {...}}`;
-anything else that a library prints goes to the child's standard error, whose tail is quoted when
-the child dies.
+A child never outlives its parent (`worker.tie_to_parent`). It is `python -m scanrender.scan.worker`
+or a copy of the parent, and waits until the parent has written arrays into a scratch folder; the
+parent reads others back. Standard output of the child carries one JSON line per event:
+`{"stage": name, "fraction": x}`, `{"error": {...}}`; anything else that a library prints goes to
+the child's standard error, whose tail is quoted when the child dies.
 """
 
 from __future__ import annotations
@@ -23,54 +23,60 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
-
-import numpy as np
-import numpy.typing as npt
+from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
 from scanrender import errors
 from scanrender.errors import ScanrenderError, StageError
 from scanrender.files import scratch_folder
+from scanrender.scan.copied import Copy
 
-Arrays = Mapping[str, npt.NDArray[Any]]
+if TYPE_CHECKING:  # NumPy takes a fifth of a second that the child's own start can use
+    import numpy.typing as npt
+
+Arrays: TypeAlias = "Mapping[str, npt.NDArray[Any]]"
+Expected: TypeAlias = Mapping[str, int]
 Progress = Callable[[str, float], None]
 # glibc: temporary arrays up to 32 MiB come from memory that was used before, without a page fault
 # for each 4 KiB, a sixth of the time of cleaning; at most 256 MiB of it is kept. What is new comes
 # in pages of 2 MiB where the system has them, a tenth of the time of the collapse.
-_KEEP_MEMORY = {
+_DEFAULTS = {
     "MALLOC_MMAP_THRESHOLD_": str(32 << 20),
     "MALLOC_TRIM_THRESHOLD_": str(256 << 20),
     "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1",
+    # The work is shared among processes: threads of BLAS' own wait beside them in busy loops.
+    "OPENBLAS_NUM_THREADS": "1",
 }
-LATER, GO = "later", b"go\n"  # argument of a child started early; what it then waits for
+GO = b"go\n"  # what a child waits for
 PARENT = "SCANRENDER_PARENT"  # environment variable: the process a worker must not outlive
 
 
 def run_task(
-    task: str, arrays: Arrays, params: Mapping[str, Any], timeout_s: float
+    task: str,
+    arrays: Arrays,
+    params: Mapping[str, Any],
+    timeout_s: float,
+    handed_over: Callable[[], None] = lambda: None,
 ) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
     """Run one native task (`worker.TASKS`) in a child. Returns its arrays and its report.
 
-    A child that `started_early` holds for it is used. Raises StageError when the child crashes or
-    takes longer than timeout_s.
+    A child that `started_early` holds for it is used. `handed_over` is called once it has its
+    input. Raises StageError when the child crashes or takes longer than timeout_s.
     """
-    with ExitStack() as stack:
-        early = _early.pop(task, None)
-        folder = early.folder if early else stack.enter_context(scratch_folder())
-        save_arrays(folder / "in", arrays)
-        (folder / "params.json").write_text(json.dumps(dict(params)), encoding="utf-8")
-        if early:
-            _finish(early.process, early.stderr, task, timeout_s)
-        else:
-            run_worker([task, str(folder)], timeout_s)
-        result = load_arrays(folder / "out")
-        report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    with child_for(task) as child:
+        save_arrays(child.folder / "in", arrays)
+        (child.folder / "params.json").write_text(json.dumps(dict(params)), encoding="utf-8")
+        handed_over()
+        child.run(timeout_s)
+        result = load_arrays(child.folder / "out")
+        report = json.loads((child.folder / "report.json").read_text(encoding="utf-8"))
     return result, report
 
 
 def save_arrays(folder: Path, arrays: Arrays) -> None:
     """One .npy each: an .npz is written in small blocks with a checksum, many times slower beside
     a thread that holds the interpreter's lock."""
+    import numpy as np
+
     folder.mkdir()
     for key, values in arrays.items():
         np.save(folder / f"{key}.npy", values, allow_pickle=False)
@@ -78,32 +84,72 @@ def save_arrays(folder: Path, arrays: Arrays) -> None:
 
 def load_arrays(folder: Path) -> dict[str, npt.NDArray[Any]]:
     """What `save_arrays` wrote."""
+    import numpy as np
+
     return {path.stem: np.load(path, allow_pickle=False) for path in sorted(folder.glob("*.npy"))}
 
 
+def mapped_arrays(folder: Path) -> dict[str, npt.NDArray[Any]]:
+    """The same without a copy, as long as the files are there; changes stay in this process."""
+    import numpy as np
+
+    paths = sorted(folder.glob("*.npy"))
+    return {path.stem: np.asarray(np.load(path, "c", allow_pickle=False)) for path in paths}
+
+
 @dataclass(frozen=True)
-class _Early:
-    """A child that waits for its input."""
+class Child:
+    """A process that waits for the input of its task in `folder`. With own_group it leads a process
+    group, so that killing it also kills its children."""
 
+    task: str
     folder: Path
-    process: subprocess.Popen[bytes]
+    process: subprocess.Popen[bytes] | Copy
     stderr: IO[bytes]
+    own_group: bool
+
+    def run(self, timeout_s: float, progress: Progress | None = None) -> None:
+        """Let it work; each stage it announces starts the timeout anew.
+
+        Raises what the child raised, or StageError for a crash or a timeout.
+        """
+        process, stage = self.process, self.task
+        assert process.stdin is not None
+        try:
+            with contextlib.suppress(OSError):  # it is dead already: its exit code will tell
+                process.stdin.write(GO)
+                process.stdin.flush()
+            stage = _follow(process, stage, timeout_s, progress)
+        finally:
+            _close(process, self.own_group)
+        if process.returncode:
+            raise _crash(process.returncode, stage, _tail(self.stderr))
 
 
-_early: dict[str, _Early] = {}
+_early: dict[str, Child] = {}
 
 
 @contextlib.contextmanager
-def started_early(*tasks: str) -> Iterator[None]:
-    """Children for the first `run_task` of each of the tasks load their libraries while this
-    process still makes their input."""
+def child_for(task: str, own_group: bool = False) -> Iterator[Child]:
+    """The child that was started early for the task, or a new one."""
+    early = _early.pop(task, None)
+    if early:
+        yield early
+        return
+    with _begun(task, {}, False, own_group) as child:
+        yield child
+
+
+@contextlib.contextmanager
+def started_early(
+    tasks: Mapping[str, Expected], copied: bool = False, own_group: bool = False
+) -> Iterator[None]:
+    """Children for the first use of each of the tasks load their libraries, and make room for what
+    is to be expected (`worker.ROOM`), while this process still makes their input. `copied` from
+    this process they have those that it has: a second less."""
     with ExitStack() as stack:
-        for task in tasks:
-            folder = stack.enter_context(scratch_folder())
-            stderr = stack.enter_context(tempfile.TemporaryFile())
-            process = _start([task, str(folder), LATER], stderr, own_group=False)
-            stack.callback(_close, process, False)
-            _early[task] = _Early(folder, process, stderr)
+        for task, expected in tasks.items():
+            _early[task] = stack.enter_context(_begun(task, expected, copied, own_group))
         try:
             yield
         finally:
@@ -111,23 +157,27 @@ def started_early(*tasks: str) -> Iterator[None]:
                 _early.pop(task, None)
 
 
-def run_worker(
-    arguments: list[str],
-    timeout_s: float,
-    progress: Progress | None = None,
-    own_group: bool = False,
-) -> None:
-    """Run the worker module; each stage it announces starts the timeout anew.
-
-    With `own_group` the child leads a process group, so that killing it also kills its children.
-    Raises what the child raised, or StageError for a crash or a timeout.
-    """
-    with tempfile.TemporaryFile() as stderr:
-        process = _start(arguments, stderr, own_group)
-        _finish(process, stderr, arguments[0], timeout_s, progress, own_group)
+@contextlib.contextmanager
+def _begun(task: str, expected: Expected, copied: bool, own_group: bool) -> Iterator[Child]:
+    with scratch_folder() as folder, tempfile.TemporaryFile() as stderr:
+        arguments = [task, str(folder), json.dumps(dict(expected))]
+        if copied and hasattr(os, "fork"):
+            process: subprocess.Popen[bytes] | Copy = _copied(arguments, stderr)
+        else:
+            process = _started(arguments, stderr, own_group)
+        try:
+            yield Child(task, folder, process, stderr, own_group)
+        finally:
+            _close(process, own_group)
 
 
-def _start(arguments: list[str], stderr: IO[bytes], own_group: bool) -> subprocess.Popen[bytes]:
+def _copied(arguments: list[str], stderr: IO[bytes]) -> Copy:
+    from scanrender.scan.worker import main
+
+    return Copy(lambda: main(arguments), stderr, _environment(arguments[1]))
+
+
+def _started(arguments: list[str], stderr: IO[bytes], own_group: bool) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
         [sys.executable, "-m", "scanrender.scan.worker", *arguments],
         stdin=subprocess.PIPE,  # its end tells the child that we are gone
@@ -138,27 +188,7 @@ def _start(arguments: list[str], stderr: IO[bytes], own_group: bool) -> subproce
     )
 
 
-def _finish(
-    process: subprocess.Popen[bytes],
-    stderr: IO[bytes],
-    stage: str,
-    timeout_s: float,
-    progress: Progress | None = None,
-    own_group: bool = False,
-) -> None:
-    assert process.stdin is not None
-    try:
-        with contextlib.suppress(OSError):  # it is dead already: its exit code will tell
-            process.stdin.write(GO)  # one that was not started early takes no notice
-            process.stdin.flush()
-        stage = _follow(process, stage, timeout_s, progress)
-    finally:
-        _close(process, own_group)
-    if process.returncode != 0:
-        raise _crash(process.returncode, stage, _tail(stderr))
-
-
-def _close(process: subprocess.Popen[bytes], own_group: bool) -> None:
+def _close(process: subprocess.Popen[bytes] | Copy, own_group: bool) -> None:
     if process.poll() is None:
         _kill(process, own_group)
     for stream in (process.stdin, process.stdout):
@@ -168,7 +198,7 @@ def _close(process: subprocess.Popen[bytes], own_group: bool) -> None:
 
 
 def _follow(
-    process: subprocess.Popen[bytes], stage: str, timeout_s: float, progress: Progress | None
+    process: subprocess.Popen[bytes] | Copy, stage: str, timeout_s: float, progress: Progress | None
 ) -> str:
     """Read events until the child closes its output; returns the last stage announced."""
     lines: queue.Queue[bytes | None] = queue.Queue()
@@ -241,7 +271,7 @@ def _tail(stream: Any) -> str:
     return lines[-1][:300] if lines else ""
 
 
-def _kill(process: subprocess.Popen[bytes], own_group: bool) -> None:
+def _kill(process: subprocess.Popen[bytes] | Copy, own_group: bool) -> None:
     if own_group and hasattr(os, "killpg"):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
@@ -257,4 +287,4 @@ def _environment(folder: str) -> dict[str, str]:
     root = str(Path(errors.__file__).resolve().parents[1])
     paths = [root, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
     own = {"PYTHONPATH": os.pathsep.join(paths), "PYTHONHASHSEED": "0"}
-    return {**_KEEP_MEMORY, **os.environ, **own, "TMPDIR": folder, PARENT: str(os.getpid())}
+    return {**_DEFAULTS, **os.environ, **own, "TMPDIR": folder, PARENT: str(os.getpid())}

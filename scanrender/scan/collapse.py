@@ -113,6 +113,15 @@ def _without_noise(
     return (nearer, within) if within < reached else (simple, reached)
 
 
+def make_room(faces: int, vertices: int) -> None:
+    """Let the library's lists grow to this size. They keep it, and grow by copying themselves to
+    fresh memory again and again: half a second of a million faces."""
+    import fast_simplification
+
+    corners = np.zeros((faces, 3), np.int32)
+    fast_simplification.simplify(np.zeros((vertices, 3)), corners, target_count=faces)
+
+
 def collapsed(
     surface: Surface, target: int, aggressiveness: float, keep_border: bool = False
 ) -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from scanrender.scan.topology import cross, edges_of, lengths, unit, vertex_areas
+from scanrender.scan.topology import cross, edge_lengths, edges_of, lengths, unit, vertex_areas
 
 Array = npt.NDArray[Any]
 
@@ -128,11 +128,9 @@ def smooth_normals(
 def _averaged(positions: Array, faces: Array, weighted: Array, sigma: float, rounds: int) -> Array:
     """Unit normals after `rounds` averages with the neighbours under a Gaussian of the distance:
     for widths below the spacing as good as heat flow, and no system to solve."""
-    a, b = edges_of(faces).pairs.T
-    offset = positions[a] - positions[b]
-    weight = np.exp(np.einsum("ij,ij->i", offset, offset) / (-2.0 * sigma * sigma))
-    count = len(positions)
-    half = sparse.coo_matrix((weight, (a, b)), (count, count)).tocsr()
+    edges = edges_of(faces)
+    weight = np.exp(edge_lengths(positions, edges.pairs) ** 2 / (-2.0 * sigma * sigma))
+    half = edges.matrix(weight, len(positions))
     for _ in range(rounds):
         weighted = weighted + half @ weighted + half.T @ weighted
         weighted /= np.maximum(lengths(weighted).mean(), 1e-300)

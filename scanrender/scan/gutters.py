@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 FINE_PX = 2048  # maps from this size on look for their neighbours at half the resolution
 
@@ -25,16 +24,17 @@ class Gutters:
         self._source = self._source.reshape(-1)[self._empty]
 
     def fill(self, image: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-        """A filled copy of (h, w, c)."""
-        filled = np.array(image, np.float32)
+        """The same (h, w, c) array, filled: of a large map a copy is mostly fresh memory."""
         if self._empty is not None:
-            flat = filled.reshape(-1, filled.shape[2])
+            flat = image.reshape(-1, image.shape[2])
             flat[self._empty] = np.take(flat, self._source, axis=0)
-        return filled
+        return image
 
 
 def _nearest(covered: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
     """(h, w) flat index of the nearest covered texel."""
+    from scipy import ndimage
+
     row, column = ndimage.distance_transform_edt(
         ~covered, return_distances=False, return_indices=True
     )

@@ -274,13 +274,16 @@ class Reference:
         """Vertices of faces that look the wrong way are drawn to their neighbours' mean, as long as
         that helps. Returns the surface and the number of such faces before and after."""
         normals = self._normals(len(simple.faces))
-        wrong = _wrong_way(simple, *normals)
+        wrong = _wrong_way(simple, np.arange(len(simple.faces)), *normals)
         before = len(wrong)
         for _ in range(UNFOLD_ROUNDS):
             if not len(wrong):
                 break
-            calmer = _calmed(simple, np.unique(simple.faces[wrong]))
-            still = _wrong_way(calmer, *normals)
+            moved = np.unique(simple.faces[wrong])
+            calmer = _calmed(simple, moved)
+            # Faces that keep their corners keep their answer: the right way.
+            touched = np.flatnonzero(np.isin(simple.faces, moved).any(axis=1))
+            still = _wrong_way(calmer, touched, *normals)
             if len(still) >= len(wrong):
                 break
             simple, wrong = calmer, still
@@ -312,13 +315,14 @@ def _drawn_together(simple: Surface, loops: list[Array]) -> Surface:
     return mended(positions, target[simple.faces])
 
 
-def _wrong_way(simple: Surface, tree: cKDTree, normals: Array) -> Array:
-    """Faces whose normal opposes that of each raw face nearby."""
-    centre = simple.positions[simple.faces].mean(axis=1)
-    normal = unit(area_normals(simple.positions, simple.faces))
+def _wrong_way(simple: Surface, asked: Array, tree: cKDTree, normals: Array) -> Array:
+    """Those of the asked faces (k,) whose normal opposes that of each raw face nearby."""
+    faces = simple.faces[asked]
+    centre = simple.positions[faces].mean(axis=1)
+    normal = unit(area_normals(simple.positions, faces))
     near = tree.query(centre, min(NEAREST, len(normals)))[1].reshape(len(centre), -1)
     agree = np.einsum("ijk,ik->ij", normals[near], normal).max(axis=1)
-    return np.flatnonzero(agree < 0.0)
+    return np.asarray(asked[agree < 0.0])
 
 
 def _calmed(simple: Surface, vertices: Array) -> Surface:

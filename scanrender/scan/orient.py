@@ -7,12 +7,17 @@ connected-components call orients every piece (the orientation double cover).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
+import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse import csgraph
 
 from scanrender.scan.surface import Surface
 from scanrender.scan.topology import (
+    BLOCK,
     area_normals,
     components,
     edges_of,
@@ -22,6 +27,8 @@ from scanrender.scan.topology import (
     span,
     used_vertices,
 )
+
+Array = npt.NDArray[Any]
 
 
 def orient(surface: Surface) -> tuple[Surface, dict[str, int]]:
@@ -62,15 +69,18 @@ def _make_consistent(surface: Surface) -> tuple[Surface, int]:
 def _turn_outward(surface: Surface) -> tuple[Surface, int]:
     """By the sign of the flux of (x - centre) through each piece, which is 3 volumes if closed."""
     count, piece = components(surface.faces, len(surface.positions))
-    normal = area_normals(surface.positions, surface.faces)
-    offset = face_centres(surface.positions, surface.faces)
-    area = lengths(normal)
-    total = np.maximum(np.bincount(piece, area, minlength=count), 1e-300)
-    for axis in range(3):
-        middle = np.bincount(piece, area * offset[:, axis], minlength=count) / total
-        offset[:, axis] -= middle[piece]
-    flux = np.bincount(piece, np.einsum("ij,ij->i", offset, normal), minlength=count)
-    reach = np.bincount(piece, lengths(offset) * area, minlength=count)
+    total, middle = np.zeros(count), np.zeros((count, 3))
+    for of, _, area, centre in _by_blocks(surface, piece):
+        total += np.bincount(of, area, minlength=count)
+        for axis in range(3):
+            middle[:, axis] += np.bincount(of, area * centre[:, axis], minlength=count)
+    total = np.maximum(total, 1e-300)
+    middle /= total[:, None]
+    flux, reach = np.zeros(count), np.zeros(count)
+    for of, normal, area, centre in _by_blocks(surface, piece):
+        centre -= np.take(middle, of, axis=0)
+        flux += np.bincount(of, np.einsum("ij,ij->i", centre, normal), minlength=count)
+        reach += np.bincount(of, lengths(centre) * area, minlength=count)
     # A nearly flat sheet has hardly any flux: its file's orientation is the better evidence.
     inside_out = flux < -0.05 * reach
     # A single triangle has none at all: what is left is rounding.
@@ -81,3 +91,13 @@ def _turn_outward(surface: Surface) -> tuple[Surface, int]:
     if not flipped.any():
         return surface, 0
     return surface.flip_faces(flipped), int(flipped.sum())
+
+
+def _by_blocks(surface: Surface, piece: Array) -> Iterator[tuple[Array, Array, Array, Array]]:
+    """The piece, normal, its length and the centre of some faces after the other: the temporary
+    arrays of all of them would be fresh memory, which takes longer than the sums."""
+    for start in range(0, len(piece), BLOCK):
+        faces = surface.faces[start : start + BLOCK]
+        normal = area_normals(surface.positions, faces)
+        centre = face_centres(surface.positions, faces)
+        yield piece[start : start + BLOCK], normal, lengths(normal), centre

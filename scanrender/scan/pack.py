@@ -18,7 +18,7 @@ import numpy.typing as npt
 from scipy import fft, ndimage
 
 from scanrender.scan.parallel import run
-from scanrender.scan.rasterize import spans
+from scanrender.scan.rasterize import covered
 
 Array = npt.NDArray[Any]
 
@@ -158,21 +158,23 @@ def _best_spot(
     """(quarter turns, row, column) of the solid bitmap's corner where it touches most."""
     side = fft.next_fast_len(len(taken), real=True)
     layers = np.stack([taken > 0.5, near]).astype(np.float32)
-    spectra = fft.rfft2(layers, s=(side, side))
+    spectra = _spectrum(layers, side)
     best, found = -np.inf, None
     for turn in range(2):
         outer = np.rot90(grown, turn)
         shape = np.rot90(solid, turn).shape
         if max(shape) > cells:
             continue
-        spectrum = fft.rfft2(outer, s=(side, side))
+        spectrum = _spectrum(outer, side)
         # Correlation with a bitmap; convolution with it is correlation with it turned by 180
         # degrees, shifted by its size: one transform serves two turns.
         for half, product in ((0, np.conj(spectrum)), (2, spectrum)):
-            both = fft.irfft2(spectra * product, s=(side, side))
             top, left = (0, 0) if half == 0 else (outer.shape[0] - 1, outer.shape[1] - 1)
-            last_row, last_column = top + cells - shape[0] + 1, left + cells - shape[1] + 1
-            clash, touch = both[:, top:last_row, left:last_column]
+            window = (
+                slice(top, top + cells - shape[0] + 1),
+                slice(left, left + cells - shape[1] + 1),
+            )
+            clash, touch = _correlated(spectra * product, side, window)
             score = np.where(clash < 0.5, touch, -np.inf)
             at = int(np.argmax(score))
             if score.flat[at] > best:
@@ -180,6 +182,20 @@ def _best_spot(
                 row, column = np.unravel_index(at, score.shape)
                 found = (turn + half, int(row), int(column))
     return found
+
+
+def _spectrum(layers: Array, side: int) -> Array:
+    """fft.rfft2 of layers (…, rows, columns) with zeros up to `side`, whose rows are left out."""
+    return np.asarray(fft.fft(fft.rfft(layers, side, axis=-1), side, axis=-2))
+
+
+def _correlated(product: Array, side: int, window: tuple[slice, slice]) -> Array:
+    """That window of fft.irfft2 of each layer, the other rows left out; scaled once, at the end, as
+    it does: the best of many spots alike is that of the last bit, and hangs on the rounding."""
+    rows, columns = window
+    some = fft.ifft(product, axis=1, norm="forward")[:, rows]
+    layers = fft.irfft(some, side, axis=2, norm="forward")[:, :, columns]
+    return np.asarray(layers * np.float32(1.0 / side**2))
 
 
 def _bitmaps(
@@ -199,9 +215,22 @@ def _bitmaps(
         size = np.maximum(np.ceil(corners.max(axis=0) * cells - 1e-9), 1).astype(int)
         drawn = _drawn(corners, size[::-1], fine)
         solid.append(_coarse(drawn))
-        wide = np.pad(drawn, margin * SUBCELLS)
-        grown.append(_coarse(ndimage.distance_transform_edt(~wide) <= reach))
+        grown.append(_coarse(_within(np.pad(drawn, margin * SUBCELLS), reach)))
     return solid, grown, margin
+
+
+def _within(bitmap: npt.NDArray[np.bool_], reach: float) -> npt.NDArray[np.bool_]:
+    """Cells whose centre is at most `reach` from that of a set one: a disc is drawn around each,
+    row by row, which takes a tenth of the time of measuring the distance."""
+    runs, near, width = bitmap.copy(), bitmap.copy(), 0
+    for away in range(int(reach), -1, -1):
+        while width < int(np.sqrt(reach * reach - away * away)):
+            width += 1
+            runs[:, width:] |= bitmap[:, :-width]
+            runs[:, :-width] |= bitmap[:, width:]
+        near[away:] |= runs[: len(runs) - away]
+        near[: len(runs) - away] |= runs[away:]
+    return near
 
 
 def _drawn(corners: Array, shape: Array, fine: int) -> npt.NDArray[np.bool_]:
@@ -209,9 +238,8 @@ def _drawn(corners: Array, shape: Array, fine: int) -> npt.NDArray[np.bool_]:
     rows, columns = shape * SUBCELLS
     canvas = int(max(rows, columns))
     faces = np.arange(len(corners)).reshape(-1, 3)
-    index, _, _ = spans(corners * (fine / canvas), faces, canvas)
     drawn = np.zeros(canvas * canvas, bool)
-    drawn[index] = True
+    drawn[covered(corners * (fine / canvas), faces, canvas)] = True
     # Slivers between the centres leave no mark but at their corners.
     at = np.clip((corners * fine).astype(np.int64), 0, canvas - 1)
     drawn[at[:, 1] * canvas + at[:, 0]] = True

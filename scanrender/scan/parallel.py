@@ -81,13 +81,18 @@ class Aside(Generic[T]):
         return cast(T, pickle.loads(data)) if status == 0 else self._job()
 
 
+def fork() -> int:
+    """os.fork without Python 3.12's warning of other threads: those of BLAS sleep, and no lock of
+    theirs is held."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return os.fork()
+
+
 def _fork(job: Callable[[], Any]) -> tuple[int, int]:
     reader, writer = os.pipe()
     parent = os.getpid()
-    with warnings.catch_warnings():
-        # Python 3.12 warns of other threads: those of BLAS sleep, and no lock of theirs is held.
-        warnings.simplefilter("ignore", DeprecationWarning)
-        pid = os.fork()
+    pid = fork()
     if pid:
         os.close(writer)
         return pid, reader

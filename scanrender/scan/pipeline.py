@@ -9,9 +9,11 @@ What runs below the main line runs beside it: the upper line waits for children 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -57,7 +59,6 @@ LOOSE_SHARE = 0.1  # pieces to a triangle
 HEALTH_MAX_BYTES = 250_000_000
 # Above it the collapse and the raw surface take turns: at 20 M each needs some 9 GB.
 BESIDE_MAX_FACES = 8_000_000
-SIMPLIFIED_BYTES = 1_000_000  # a smaller file is hardly above any budget of triangles
 
 
 def prepare_here(
@@ -74,42 +75,33 @@ def prepare_here(
     With a full report, the arrays of `views.make_views` are written to `views` (.npz). Raises
     UsageError, ConfigError, ScanError, StageError.
     """
-    early = () if as_is else ("charts", "simplify")
-    with started_early(*early[: 2 if path.stat().st_size > SIMPLIFIED_BYTES else 1]):
-        return _prepared(path, scan, prep, Journal(progress), as_is, views)
-
-
-def _prepared(
-    path: Path,
-    scan: ScanSettings,
-    prep: PrepSettings,
-    journal: Journal,
-    as_is: bool,
-    views: Path | None,
-) -> Asset:
+    journal = Journal(progress)
     health, source = _health(path, scan, prep), Aside(lambda: _source(path))
     with journal.stage("ingest") as notes:
         raw = read_scan(path, scan)
         notes.update(notes=list(raw.notes), color=raw.color_source)
         mask = read_skin_mask(path, raw, prep.skin.mask) if prep.skin.mask is not None else None
         journal.warnings += raw.notes
-    with journal.stage("clean") as notes:
-        cleaned = clean(raw, scan, prep.clean)
-        notes["steps"] = list(cleaned.steps)
-        journal.warnings += cleaned.frame.warnings
-    high, low, shape, lost = _shapes(cleaned, prep, journal, as_is)
+        raw = raw.in_order_of_use()
+    size = {"vertices": len(raw.positions), "triangles": len(raw.faces)}
+    with started_early(_early_tasks(raw, as_is), copied=True):
+        with journal.stage("clean") as notes:
+            cleaned = clean(raw, scan, prep.clean)
+            notes["steps"] = list(cleaned.steps)
+            journal.warnings += cleaned.frame.warnings
+        raw = raw.without_geometry()
+        high, low, shape, lost = _shapes(cleaned, prep, journal, as_is)
     lods, levels = _levels_of_detail(high, low, prep, journal)
     maps, more = _baked(raw, high, low, shape, mask, prep, journal, views)
     lost.update(more)
     _warn_of_losses(lost, prep, low, journal)
-    counts = _counts(raw, cleaned.surface, low)
-    counts["prepared"]["self_intersecting_faces"] = lost.pop("self_intersecting_faces", None)
+    crossing = lost.pop("self_intersecting_faces", None)
     info = {
         "source": source.result(),
         "units": cleaned.frame.units,
         "axes": cleaned.frame.axes,
         "raw_from_asset": cleaned.frame.raw_from_asset,
-        "counts": counts,
+        "counts": {"raw": size, **_counts(cleaned.surface, low, crossing)},
         "settings": {"scan": scan.model_dump(mode="json"), "prep": prep.model_dump(mode="json")},
         "as_is": as_is,
         "health": health.result() if health else None,
@@ -119,6 +111,14 @@ def _prepared(
         "warnings": journal.warnings,
     }
     return Asset(low.mesh, maps, info, lods)
+
+
+def _early_tasks(raw: RawMesh, as_is: bool) -> dict[str, dict[str, int]]:
+    """The children that will be needed, and what is known of their input."""
+    if as_is:
+        return {}
+    size = {"faces": len(raw.faces), "vertices": len(raw.positions)}
+    return {"charts": {}, "simplify": size if len(raw.faces) <= BESIDE_MAX_FACES else {}}
 
 
 def _health(
@@ -144,9 +144,10 @@ def _shapes(
 
     Simplifying and unwrapping run in children; a thread waits for them while this one works.
     """
-    surface = cleaned.surface
+    surface, handed_over = cleaned.surface, Event()
     with ThreadPoolExecutor(1) as beside:
-        simple = beside.submit(_simplified, cleaned, prep, journal, as_is)
+        simple = beside.submit(_simplified, cleaned, prep, journal, as_is, handed_over.set)
+        simple.add_done_callback(lambda _: handed_over.set())
         unwrapped = beside.submit(
             lambda: _low_mesh(surface, *simple.result(), prep, journal, as_is)
         )
@@ -159,11 +160,13 @@ def _shapes(
         )
         if len(surface.faces) > BESIDE_MAX_FACES:
             simple.result()
+        # What follows holds the interpreter's lock for a second: the collapse would wait with it.
+        handed_over.wait()
         with journal.stage("raw surface"):
             high = make_high(surface, prep.bake)
-            # Needed later, and time now: the collapse still runs beside this.
+            # Needed later, and time now: the collapse still runs beside this. Not so the tree: it
+            # holds the interpreter's lock so long that unwrapping would begin late.
             high.target.build()
-            high.target.make_tree()
             _ = high.target.face_normals
         positions, faces = simple.result()
         with journal.stage("occlusion, thickness"):
@@ -172,20 +175,28 @@ def _shapes(
         with journal.stage("distance"):
             lost = surface_distance(high.target, positions, faces)
             cage = measured_cage(positions, faces, high.target)
+        import scipy.ndimage  # noqa: F401  for the gutters: this process only waits now
+
         low = replace(unwrapped.result(), cage=cage)
         lost["self_intersecting_faces"] = crossing.result()
     return high, low, shape, lost
 
 
 def _simplified(
-    cleaned: Cleaned, prep: PrepSettings, journal: Journal, as_is: bool
+    cleaned: Cleaned,
+    prep: PrepSettings,
+    journal: Journal,
+    as_is: bool,
+    handed_over: Callable[[], None],
 ) -> tuple[Array, Array]:
     with journal.stage("simplify") as notes:
         if as_is:
             notes["method"] = "none: as is"
             return cleaned.surface.positions, cleaned.surface.faces
         try:
-            positions, faces, report = simplify(cleaned.skin, prep.simplify, prep.timeout_s)
+            positions, faces, report = simplify(
+                cleaned.skin, prep.simplify, prep.timeout_s, handed_over
+            )
         except StageError as error:
             raise _loose(cleaned.skin) or error from error
         notes.update(report)
@@ -283,10 +294,9 @@ def _baked(
     return oven.maps, lost
 
 
-def _counts(raw: RawMesh, surface: Surface, low: Low) -> dict[str, Any]:
+def _counts(surface: Surface, low: Low, crossing: int | None) -> dict[str, Any]:
     edges = edges_of(low.faces)
     return {
-        "raw": {"vertices": len(raw.positions), "triangles": len(raw.faces)},
         "cleaned": {"vertices": len(surface.positions), "triangles": len(surface.faces)},
         "prepared": {
             "vertices": len(low.mesh.positions_mm),
@@ -294,6 +304,7 @@ def _counts(raw: RawMesh, surface: Surface, low: Low) -> dict[str, Any]:
             "triangles": len(low.faces),
             "boundary_edges": int((edges.count == 1).sum()),
             "non_manifold_edges": int((edges.count > 2).sum()),
+            "self_intersecting_faces": crossing,
         },
     }
 

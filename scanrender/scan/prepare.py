@@ -9,8 +9,8 @@ from pathlib import Path
 
 from scanrender.asset import Asset, load_asset
 from scanrender.errors import ScanError
-from scanrender.files import atomic_folder, scratch_folder
-from scanrender.scan.child import run_worker
+from scanrender.files import atomic_folder
+from scanrender.scan.child import child_for
 from scanrender.scan.header import check_header, named
 from scanrender.settings.prep import PrepSettings
 from scanrender.settings.scan import ScanSettings
@@ -36,7 +36,7 @@ def prepare(
     """
     path, out = Path(path), Path(out)
     check_header(path)
-    with atomic_folder(out) as folder, scratch_folder() as scratch:
+    with atomic_folder(out) as folder, child_for("prepare", own_group=True) as child:
         inner = folder / "asset"
         job = {
             # Not resolved: textures lie beside the name that was given, be it a link or not.
@@ -46,9 +46,9 @@ def prepare(
             "asset": str(inner.resolve()),
             "as_is": as_is,
         }
-        (scratch / "job.json").write_text(json.dumps(job), encoding="utf-8")
+        (child.folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
         try:
-            run_worker(["prepare", str(scratch)], prep.timeout_s, progress, own_group=True)
+            child.run(prep.timeout_s, progress)
         except ScanError as error:
             raise named(error, path) from error
         for file in inner.iterdir():

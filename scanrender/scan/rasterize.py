@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-_CHUNK = 40_000
+# At a time: temporary arrays stay near the caches.
+_CHUNK_FACES, _CHUNK_TEXELS = 4_000, 100_000
+LEAST_DOUBLE_AREA = 1e-12  # in texels; of a triangle without one no point is known
 
 
 @dataclass(frozen=True)
@@ -24,10 +26,10 @@ class Texels:
     face: npt.NDArray[np.int32]
     bary: npt.NDArray[np.float32]
 
-    def scatter(self, values: npt.NDArray[Any], fill: float = 0.0) -> npt.NDArray[np.float32]:
-        """A (size, size, c) map with `values` (k, c) at the covered texels."""
+    def scatter(self, values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+        """A (size, size, c) map with `values` (k, c) at the covered texels, 0 elsewhere."""
         values = values.reshape(len(self.index), -1)
-        out = np.full((self.size * self.size, values.shape[1]), fill, np.float32)
+        out = np.zeros((self.size * self.size, values.shape[1]), np.float32)
         out[self.index] = values
         return out.reshape(self.size, self.size, -1)
 
@@ -50,54 +52,73 @@ class Texels:
 
 def rasterize(uv: npt.NDArray[Any], faces: npt.NDArray[Any], size: int) -> Texels:
     """uv (n, 2) in [0, 1], origin top left; faces (m, 3). Where triangles overlap the last wins."""
-    index, face, bary = spans(uv, faces, size)
-    owner = np.full(size * size, -1, np.int64)
-    owner[index] = np.arange(len(index))
-    kept = owner[owner >= 0]
-    return Texels(size, index[kept], face[kept], bary[kept])
+    corner = in_texels(uv, faces, size)
+    index, face = owners(corner, size)
+    bary = np.empty((len(index), 3), np.float32)
+    for start in range(0, len(index), _CHUNK_TEXELS):
+        cut = slice(start, start + _CHUNK_TEXELS)
+        bary[cut] = barycentric_at(corner, face[cut], index[cut], size)
+    return Texels(size, index, face, bary)
+
+
+def in_texels(uv: npt.NDArray[Any], faces: npt.NDArray[Any], size: int) -> npt.NDArray[np.float64]:
+    """Corners (m, 3, 2) of the faces on a map of `size`, where texel centres are the integers."""
+    return np.asarray(uv[faces].astype(np.float64) * size - 0.5)
+
+
+def owners(
+    corner: npt.NDArray[np.float64], size: int
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+    """Flat index (k,) of each covered texel in the map's order, and the last face there."""
+    owner = np.full(size * size, -1, np.int32)
+    for start in range(0, len(corner), _CHUNK_FACES):
+        index, face = _centres(corner[start : start + _CHUNK_FACES], size)
+        owner[index] = face + start
+    index = np.flatnonzero(owner >= 0)
+    return index, owner[index]
 
 
 def overlap_share(uv: npt.NDArray[Any], faces: npt.NDArray[Any], size: int) -> float:
     """Share of the covered texels that lie under more than one triangle."""
-    index, _, bary = spans(uv, faces, size)
-    # Centres on a common edge count for both triangles: only clear interiors are evidence.
-    index = index[bary.min(axis=1) > 1e-3]
-    count = np.bincount(index, minlength=1)
+    corner = in_texels(uv, faces, size)
+    count = np.zeros(size * size, np.int32)
+    for start in range(0, len(corner), _CHUNK_FACES):
+        part = corner[start : start + _CHUNK_FACES]
+        index, face = _centres(part, size)
+        # Centres on a common edge count for both triangles: only clear interiors are evidence.
+        inside = barycentric_at(part, face, index, size).min(axis=1) > 1e-3
+        count += np.bincount(index[inside], minlength=len(count)).astype(np.int32)
     return float((count > 1).sum() / max(1, (count > 0).sum()))
 
 
-def spans(
-    uv: npt.NDArray[Any], faces: npt.NDArray[Any], size: int
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32], npt.NDArray[np.float32]]:
-    """Every (texel, face) pair: flat texel index, face, barycentric coordinates."""
-    pieces = [
-        _spans(uv, faces[start : start + _CHUNK], size, start)
-        for start in range(0, len(faces), _CHUNK)
-    ]
-    if not pieces:
-        return np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros((0, 3), np.float32)
-    index, face, bary = (np.concatenate(part) for part in zip(*pieces, strict=True))
-    return index, face, bary
+def covered(uv: npt.NDArray[Any], faces: npt.NDArray[Any], size: int) -> npt.NDArray[np.int64]:
+    """The flat texel index of every pair of a triangle and a texel centre in it."""
+    return _centres(in_texels(uv, faces, size), size)[0]
 
 
-def _spans(uv: npt.NDArray[Any], faces: npt.NDArray[Any], size: int, first: int) -> Any:
-    corner = uv[faces].astype(np.float64) * size - 0.5  # texel centres are the integers
+def _centres(
+    corner: npt.NDArray[Any], size: int
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+    """Flat texel index and face of each centre that lies in a triangle (m, 3, 2) with an area."""
     y = corner[:, :, 1]
     top = np.clip(np.ceil(y.min(axis=1)), 0, size).astype(np.int64)
     bottom = np.clip(np.floor(y.max(axis=1)), -1, size - 1).astype(np.int64)
     rows = np.maximum(bottom - top + 1, 0)
-    triangle = np.repeat(np.arange(len(faces)), rows)
-    row = np.arange(rows.sum()) - np.repeat(np.cumsum(rows) - rows, rows) + top[triangle]
+    rows[np.abs(_double_areas(corner)) <= LEAST_DOUBLE_AREA] = 0
+    triangle = np.repeat(np.arange(len(corner), dtype=np.int32), rows)
+    row = np.arange(len(triangle)) + np.repeat(top - np.cumsum(rows) + rows, rows)
     low, high = _crossings(corner[triangle], row.astype(np.float64))
     left = np.clip(np.ceil(low - 1e-9), 0, size).astype(np.int64)
     right = np.clip(np.floor(high + 1e-9), -1, size - 1).astype(np.int64)
     width = np.maximum(right - left + 1, 0)
-    span = np.repeat(np.arange(len(width)), width)
-    column = np.arange(width.sum()) - np.repeat(np.cumsum(width) - width, width) + left[span]
-    face = triangle[span]
-    bary, valid = _barycentric(corner, face, column, row[span])
-    index = row[span] * size + column
-    return index[valid], (face[valid] + first).astype(np.int32), bary[valid]
+    first = row * size + left - np.cumsum(width) + width
+    face = np.repeat(triangle, width)
+    return np.arange(len(face)) + np.repeat(first, width), face
+
+
+def _double_areas(corner: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    ab, ac = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    return np.asarray(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
 
 
 def _crossings(corner: npt.NDArray[Any], row: npt.NDArray[Any]) -> tuple[Any, Any]:
@@ -115,18 +136,23 @@ def _crossings(corner: npt.NDArray[Any], row: npt.NDArray[Any]) -> tuple[Any, An
     return np.where(np.isfinite(low), low, 1.0), np.where(np.isfinite(high), high, 0.0)
 
 
-def _barycentric(
-    corner: npt.NDArray[Any], face: npt.NDArray[Any], x: npt.NDArray[Any], y: npt.NDArray[Any]
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
-    """(k, 3) clamped barycentric coordinates; false where the triangle has no area."""
-    a, b, c = corner[:, 0], corner[:, 1], corner[:, 2]
-    ab, ac = b - a, c - a
-    area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
-    valid = np.abs(area) > 1e-12
-    inverse = np.where(valid, 1.0 / np.where(valid, area, 1.0), 0.0)
-    px, py = x - a[face, 0], y - a[face, 1]
-    v = (px * ac[face, 1] - py * ac[face, 0]) * inverse[face]
-    w = (ab[face, 0] * py - ab[face, 1] * px) * inverse[face]
-    bary = np.clip(np.stack([1.0 - v - w, v, w], axis=1), 0.0, 1.0)
-    bary /= np.maximum(bary.sum(axis=1, keepdims=True), 1e-12)
-    return bary.astype(np.float32), valid[face]
+def barycentric_at(
+    corner: npt.NDArray[np.float64],
+    face: npt.NDArray[Any],
+    index: npt.NDArray[np.int64],
+    size: int,
+) -> npt.NDArray[np.float32]:
+    """(k, 3) clamped barycentric coordinates of texel centres (k,) in faces that have an area."""
+    y, x = np.divmod(index, size)
+    origin, ab, ac = corner[:, 0], corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    inverse = 1.0 / np.where(area := _double_areas(corner), area, 1.0)
+    ab, ac = ab * inverse[:, None], ac * inverse[:, None]
+    px, py = x - np.take(origin[:, 0], face), y - np.take(origin[:, 1], face)
+    v = px * np.take(ac[:, 1], face) - py * np.take(ac[:, 0], face)
+    w = py * np.take(ab[:, 0], face) - px * np.take(ab[:, 1], face)
+    parts = [np.clip(part, 0.0, 1.0) for part in (1.0 - v - w, v, w)]
+    total = np.maximum(parts[0] + parts[1] + parts[2], 1e-12)
+    bary = np.empty((len(index), 3), np.float32)
+    for column, part in enumerate(parts):
+        np.divide(part, total, out=bary[:, column], casting="same_kind")
+    return bary

@@ -6,7 +6,7 @@ them. Positions keep the scan's own units and axes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,35 @@ class RawMesh:
     notes: tuple[str, ...] = ()
     up_hint: str | None = None
     mm_hint: float | None = None
+
+    def in_order_of_use(self) -> RawMesh:
+        """The same with its vertices numbered as the faces first name them, unused ones last: what
+        lies side by side on the surface then mostly does in memory, too. The collapse of a scan
+        that was subdivided takes three quarters of the time."""
+        corners = self.faces.reshape(-1)
+        place = np.arange(len(corners))
+        first = np.full(len(self.positions), len(corners))
+        first[corners[::-1]] = place[::-1]
+        used = corners[first[corners] == place]
+        source = np.concatenate([used, np.flatnonzero(first == len(corners))])
+        number = np.arange(len(source))
+        if (source == number).all():
+            return self
+        renumbered = np.empty_like(source)
+        renumbered[source] = number
+        return replace(
+            self,
+            positions=np.take(self.positions, source, axis=0),
+            faces=np.take(renumbered, self.faces),
+            colors=None if self.colors is None else np.take(self.colors, source, axis=0),
+        )
+
+    def without_geometry(self) -> RawMesh:
+        """Its pages alone: the rest is a tenth of what a preparation holds at its end."""
+        nothing = np.zeros((0, 3))
+        return RawMesh(
+            nothing, nothing.astype(np.int64), pages=self.pages, normal_pages=self.normal_pages
+        )
 
     @property
     def color_source(self) -> str:

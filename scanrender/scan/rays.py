@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from scanrender.scan.topology import area_normals, unit
+from scanrender.scan.topology import face_normals
 
 Array = npt.NDArray[Any]
 CHUNK = 1_000_000
@@ -37,11 +37,8 @@ class Target:
         self.positions = np.ascontiguousarray(positions, np.float64)
         self.faces = np.ascontiguousarray(faces, np.int64)
         self._scene = EmbreeScene()
-        TriangleMesh(
-            self._scene,
-            np.ascontiguousarray(positions, np.float32),
-            np.ascontiguousarray(faces, np.int32),
-        )
+        # It reads each number by itself, and rounds it: those of float64 and int64 take the least.
+        TriangleMesh(self._scene, self.positions, self.faces)
         self._tree: Any = None
 
     def cast(self, origin: Array, direction: Array, reach: Array | float) -> Hits:
@@ -80,7 +77,7 @@ class Target:
     @cached_property
     def face_normals(self) -> npt.NDArray[np.float32]:
         """(m, 3) unit; zero for a face without area."""
-        return unit(area_normals(self.positions, self.faces)).astype(np.float32)
+        return face_normals(self.positions, self.faces, np.float32)
 
     def build(self) -> None:
         """Embree builds its hierarchy at the first ray: here, once, and not in each copy of this

@@ -45,7 +45,7 @@ def split_vertices(surface: Surface) -> Surface:
     faces = surface.faces
     count = len(faces)
     edges = edges_of(faces)
-    order = sorted_order(edges.half)
+    order = edges.order
     first_of_edge = np.cumsum(edges.count) - edges.count
     two = np.flatnonzero(edges.count == 2)
     one, other = order[first_of_edge[two]], order[first_of_edge[two] + 1]
@@ -77,27 +77,29 @@ def _has_single_fans(faces: Array, one: Array, other: Array, vertices: int) -> b
     runs against the other; false where they are not.
     """
     count = len(faces)
-    start = faces.T.reshape(-1)
-    half = np.arange(3 * count)
+    # Half the memory to look things up in, where the numbers of the half-edges allow it.
+    whole: Any = np.int32 if 3 * count < 1 << 31 else np.int64
+    start, half = faces.T.reshape(-1), np.arange(3 * count, dtype=whole)
     if (start[one] == start[other]).any():
         return False
-    twin = np.full(3 * count, -1)
+    twin = np.full(3 * count, -1, whole)
     twin[one], twin[other] = other, one
-    # Leaving a vertex along `half`, the next half-edge that leaves it: across the one before.
-    around = twin[(half + 2 * count) % (3 * count)]
     # A walk begins at a boundary where there is one, so that it goes through the whole fan.
-    begin = np.full(vertices, -1)
+    begin = np.full(vertices, -1, whole)
     begin[start] = half
-    open_half = twin < 0
-    begin[start[open_half]] = half[open_half]
+    open_half = np.flatnonzero(twin < 0)
+    begin[start[open_half]] = open_half
     valence = np.bincount(start, minlength=vertices)
     walker = np.flatnonzero(begin >= 0)
-    at, met = begin[walker], np.ones(len(walker), np.int64)
-    while len(walker):
-        at = around[at]
-        done = (at < 0) | (at == begin[walker])
-        if (met[done] != valence[walker[done]]).any():
+    begin, valence = begin[walker], valence[walker]
+    # Leaving a vertex along a half-edge, the next that leaves it: across the one before.
+    around = np.roll(twin, count)
+    at, met = begin, 1
+    while len(at):
+        at = np.take(around, at)
+        going = (at >= 0) & (at != begin)
+        if (valence[~going] != met).any():
             return False
-        met = met[~done] + 1
-        walker, at = walker[~done], at[~done]
+        at, begin, valence = at[going], begin[going], valence[going]
+        met += 1
     return True

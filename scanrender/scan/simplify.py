@@ -8,6 +8,7 @@ is in the report.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,13 +63,17 @@ class _Tried:
 
 
 def simplify(
-    surface: Surface, settings: SimplifySettings, timeout_s: float
+    surface: Surface,
+    settings: SimplifySettings,
+    timeout_s: float,
+    handed_over: Callable[[], None] = lambda: None,
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64], dict[str, Any]]:
     """Positions (n, 3) mm, faces (m, 3) with m <= settings.triangles, and a report.
 
     `stopped_by` in the report says in one sentence whether the budget or the error bound ended it.
     `over_budget` says that the budget could not be reached (boundaries and pieces need some
-    triangles). Raises StageError when each attempt ruins the surface.
+    triangles). `handed_over` is called once the first child has the surface. Raises StageError when
+    each attempt ruins it.
     """
     arrays = {"positions": surface.positions, "faces": surface.faces}
     rejected: list[str] = []
@@ -78,7 +83,7 @@ def simplify(
         if attempt.hard and best is not None and best.excess <= 0:
             continue
         try:
-            tried = _try(attempt, arrays, settings, timeout_s)
+            tried = _try(attempt, arrays, settings, timeout_s, handed_over)
         except StageError as error:
             rejected.append(f"{attempt.name}: {error.what}")
             continue
@@ -96,7 +101,11 @@ def simplify(
 
 
 def _try(
-    attempt: Attempt, arrays: dict[str, Any], settings: SimplifySettings, timeout_s: float
+    attempt: Attempt,
+    arrays: dict[str, Any],
+    settings: SimplifySettings,
+    timeout_s: float,
+    handed_over: Callable[[], None],
 ) -> _Tried:
     params = {
         "target": settings.triangles,
@@ -104,7 +113,7 @@ def _try(
         "aggressiveness": attempt.aggressiveness,
         "detail": attempt.detail,
     }
-    result, report = run_task("simplify", arrays, params, timeout_s)
+    result, report = run_task("simplify", arrays, params, timeout_s, handed_over)
     excess = len(result["faces"]) - TOLERANCE * settings.triangles
     return _Tried(attempt, result["positions"], result["faces"], report, excess)
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from scipy import sparse
+import numpy.typing as npt
 
 from scanrender.scan.surface import Surface
-from scanrender.scan.topology import edges_of, lengths
+from scanrender.scan.topology import edge_lengths, edges_of, lengths
 
 # A clean, evenly bent surface deviates by next to nothing: this share of the edge length keeps
 # rounding and curvature there from counting as spikes.
@@ -23,17 +24,19 @@ def flatten_spikes(surface: Surface, sigma: float) -> tuple[Surface, int]:
     """
     edges = edges_of(surface.faces)
     count = len(surface.positions)
-    ones = np.ones(len(edges.pairs))
-    half = sparse.coo_matrix((ones, edges.pairs.T), shape=(count, count))
-    adjacency = (half + half.T).tocsr()
-    degree = np.maximum(np.asarray(adjacency.sum(axis=1)).reshape(-1), 1.0)
-    mean = (adjacency @ surface.positions) / degree[:, None]
+    half = edges.matrix(np.ones(len(edges.pairs)), count)
+
+    def summed(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Of each vertex's neighbours; the whole matrix, to and fro, would take as long to make."""
+        return np.asarray(half @ values + half.T @ values)
+
+    degree = np.maximum(np.bincount(edges.pairs.reshape(-1), minlength=count), 1.0)
+    mean = summed(surface.positions) / degree[:, None]
     deviation = lengths(surface.positions - mean)
-    around = (adjacency @ deviation) / degree
+    around = summed(deviation) / degree
     # A spike lifts its neighbours' deviation by 1/degree of its own: take that share away again.
-    inherited = (adjacency @ (deviation / degree)) / degree
-    a, b = edges.pairs.T
-    length = lengths(surface.positions[a] - surface.positions[b])
+    inherited = summed(deviation / degree) / degree
+    length = edge_lengths(surface.positions, edges.pairs)
     typical = float(np.median(length)) if len(length) else 0.0
     local = np.maximum(around - inherited, 0.0) + EDGE_SHARE * typical
     spike = (deviation > sigma * local) & (degree >= 3)

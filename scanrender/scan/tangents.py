@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from scanrender.scan.topology import cross, unit
+from scanrender.scan.topology import cross, unique_rows, unit
 
 Array = npt.NDArray[Any]
 
@@ -33,9 +33,7 @@ def corner_tangents(positions: Array, faces: Array, normals: Array, corner_uv: A
     weight = _projected_angles(positions, faces, normals).reshape(-1)
     # Corners with the same place, coordinate and handedness share one tangent.
     uv = np.nan_to_num(corner_uv.reshape(-1, 2).astype(np.float64))
-    key = np.column_stack([flat, uv, np.repeat(sign, 3)])
-    _, group = np.unique(key, axis=0, return_inverse=True)
-    group = group.reshape(-1)
+    _, group = unique_rows(flat, *uv.T, np.repeat(sign, 3))
     summed = np.stack([np.bincount(group, weight * tangent[:, axis]) for axis in range(3)], axis=1)[
         group
     ]

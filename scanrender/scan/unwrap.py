@@ -17,6 +17,7 @@ from scanrender.scan.child import run_task
 from scanrender.scan.flatten import signed_areas
 from scanrender.scan.rasterize import overlap_share
 from scanrender.scan.surface import Surface
+from scanrender.scan.topology import unique_rows
 from scanrender.scan.unwrap_box import pack_shelves, project
 from scanrender.settings.prep import UnwrapSettings
 
@@ -110,11 +111,10 @@ def _charts_of(corner_uv: Array, faces: Array) -> Array:
 
 def _joined(faces: Array, chart: Array, corner_uv: Array) -> Unwrapped:
     """One vertex per (input vertex, chart, uv); UV turned to glTF's origin, top left."""
-    uv = corner_uv.reshape(-1, 2)
-    key = np.concatenate([faces.reshape(-1, 1), np.repeat(chart, 3)[:, None], uv], axis=1)
-    unique, index = np.unique(key, axis=0, return_inverse=True)
-    flipped = np.stack([unique[:, 2], 1.0 - unique[:, 3]], axis=1)
-    return Unwrapped(unique[:, 0].astype(np.int64), index.reshape(-1, 3), flipped, chart, {})
+    vertex, (u, v) = faces.reshape(-1), corner_uv.reshape(-1, 2).T
+    first, index = unique_rows(vertex, np.repeat(chart, 3), u, v)
+    flipped = np.stack([u[first], 1.0 - v[first]], axis=1)
+    return Unwrapped(vertex[first].astype(np.int64), index.reshape(-1, 3), flipped, chart, {})
 
 
 def _y_up(uv: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.scan.surface import Surface
-from scanrender.scan.topology import extent, face_areas, sorted_order, span
+from scanrender.scan.topology import all_differ, extent, face_areas, sorted_order, span
 
 Array = npt.NDArray[Any]
 
@@ -22,6 +22,8 @@ def weld(surface: Surface) -> Surface:
     low, high = extent(surface.positions)
     step = max(float((high - low).max()) * GRID, 1e-300)
     cell = np.round((surface.positions - low) / step).astype(np.int64)
+    if all_differ(*cell.T):
+        return surface
     # One 64-bit key per cell would be too short (21 bits an axis), hence the sort by columns.
     order = sorted_order(cell[:, 2])
     for axis in (1, 0):
@@ -58,6 +60,10 @@ def drop_degenerate(surface: Surface) -> Surface:
 
 def drop_duplicates(surface: Surface) -> Surface:
     """Without the second copy of a face, whatever its winding (two-sided exports)."""
+    a, b, c = surface.faces.T
+    least, most = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    if all_differ(least, most, a + b + c):
+        return surface
     a, b, c = np.sort(surface.faces, axis=1).T
     order = sorted_order(c)
     order = order[sorted_order((a * (int(b.max(initial=0)) + 1) + b)[order])]

@@ -1,4 +1,4 @@
-"""The program that runs inside the child processes: `python -m scanrender.scan.worker TASK FOLDER`.
+"""The program inside the child processes: `python -m scanrender.scan.worker TASK FOLDER EXPECTED`.
 
 Only here are pymeshlab, xatlas, libigl's solvers and fast-simplification called: they can crash,
 hang, hold the interpreter lock for minutes, or carry the GPL (pymeshlab). The parent is `child`.
@@ -14,14 +14,14 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from scanrender.errors import ScanrenderError
-from scanrender.scan.child import GO, LATER, PARENT, load_arrays, save_arrays
+from scanrender.scan.child import GO, PARENT, mapped_arrays, save_arrays
 from scanrender.scan.memory import OUT_OF_MEMORY, limit_memory
 
 Table = dict[str, Any]
@@ -99,18 +99,30 @@ TASKS: dict[str, Task] = {
 }
 
 
-# What a child that was started early loads while it waits.
+# What a child loads while it waits.
 LIBRARIES = {
-    "simplify": ("scanrender.scan.simplify", "fast_simplification"),
+    "prepare": ("scanrender.scan.pipeline",),
+    "simplify": ("scanrender.scan.collapse", "fast_simplification", "igl"),
     "charts": ("scanrender.scan.unwrap_charts", "igl"),
 }
 
 
+def _room_to_simplify(faces: int, vertices: int) -> None:
+    from scanrender.scan.collapse import make_room
+
+    make_room(faces, vertices)
+
+
+# What it does then, with what is known of its input.
+ROOM: dict[str, Callable[..., None]] = {"simplify": _room_to_simplify}
+
+
 def main(arguments: list[str]) -> int:
+    """TASK FOLDER, and a JSON object for ROOM; returns the exit code."""
     task, folder = arguments[0], Path(arguments[1])
     tie_to_parent()
     limit_memory()
-    if LATER in arguments[2:] and not _told_to_go(task):
+    if PARENT in os.environ and not _told_to_go(task, json.loads(arguments[2])):
         return 0
     watch_parent()
     stage = [task]
@@ -138,10 +150,12 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _told_to_go(task: str) -> bool:
+def _told_to_go(task: str, expected: Mapping[str, int]) -> bool:
     """Load what the task needs, and wait; false when the parent has no work after all."""
     for module in LIBRARIES.get(task, ()):
         importlib.import_module(module)
+    if task in ROOM and expected:
+        ROOM[task](**expected)
     return os.read(0, len(GO)) == GO
 
 
@@ -185,7 +199,7 @@ def _write_error(protocol: Any, what: str, fix: str | None = None) -> None:
 
 def _run(task: str, folder: Path) -> None:
     params = json.loads((folder / "params.json").read_text(encoding="utf-8"))
-    result, report = TASKS[task](load_arrays(folder / "in"), params)
+    result, report = TASKS[task](mapped_arrays(folder / "in"), params)
     save_arrays(folder / "out", result)
     (folder / "report.json").write_text(json.dumps(report), encoding="utf-8")
 

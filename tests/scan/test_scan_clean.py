@@ -335,3 +335,17 @@ def test_surface_attributes_follow_their_faces():
     assert kept.page.tolist() == list(range(0, len(faces), 3))
     np.testing.assert_allclose(kept.positions[kept.faces], positions[faces[::3]])
     assert replace(kept, colors=None).colors is None
+
+
+def test_vertices_in_order_of_use_are_the_same_surface():
+    rng = np.random.default_rng(5)
+    faces = rng.integers(0, 90, (120, 3))
+    colors = rng.random((100, 3)).astype(np.float32)
+    before = RawMesh(rng.normal(size=(100, 3)), faces, colors=colors)
+    after = before.in_order_of_use()
+    np.testing.assert_array_equal(after.positions[after.faces], before.positions[before.faces])
+    np.testing.assert_array_equal(after.colors[after.faces], before.colors[before.faces])
+    assert sorted(map(tuple, after.positions)) == sorted(map(tuple, before.positions))
+    _, first = np.unique(after.faces, return_index=True)
+    assert (np.diff(first) > 0).all(), "named in the order of their numbers"
+    assert after.in_order_of_use() is after

@@ -176,7 +176,7 @@ class Recorded:
     def __init__(self, answers, surface):
         self.answers, self.surface, self.asked = answers, surface, []
 
-    def __call__(self, task, arrays, params, timeout_s):
+    def __call__(self, task, arrays, params, *_rest):
         attempt = next(
             a for a in ATTEMPTS
             if a.aggressiveness == params["aggressiveness"] and a.detail == params["detail"]
@@ -220,10 +220,10 @@ def test_a_ruined_surface_is_an_error_with_each_reason(ball, monkeypatch):
 
 
 def test_a_crash_is_followed_by_another_attempt(ball, monkeypatch):
-    def crashing(task, arrays, params, timeout_s):
+    def crashing(task, arrays, params, *rest):
         if params["detail"]:
             raise StageError("the stage 'simplify' crashed")
-        return run_task(task, arrays, params, timeout_s)
+        return run_task(task, arrays, params, *rest)
 
     monkeypatch.setattr(module, "run_task", crashing)
     _, faces, report = simplify(ball, SimplifySettings(triangles=1000), 60.0)

@@ -1,0 +1,70 @@
+"""Children started early: copies of this process do what new ones do, and die like them."""
+
+from __future__ import annotations
+
+import os
+import time
+
+import numpy as np
+import pytest
+from scan_shapes import grid
+
+from scanrender.errors import StageError
+from scanrender.scan import child
+from scanrender.scan.child import run_task, started_early
+from scanrender.scan.collapse import collapsed, make_room
+from scanrender.scan.mend import plain_surface
+from scanrender.scan.unwrap_charts import unwrap_by_charts
+
+
+def hills(side):
+    return grid(lambda x, y: np.sin(0.3 * x) * np.cos(0.2 * y), side)
+
+
+@pytest.mark.parametrize("copied", [True, False])
+def test_a_child_started_early_does_the_work_and_leaves_nothing(copied):
+    positions, faces = hills(12)
+    arrays, params = {"positions": positions, "faces": faces}, {"padding": 0.01}
+    with started_early({"charts": {}}, copied=copied):
+        early = child._early["charts"]
+        result, report = run_task("charts", arrays, params, 60.0)
+        assert early.process.returncode == 0
+    assert not early.folder.exists()
+    expected, same = unwrap_by_charts(arrays, params)
+    assert report == same
+    np.testing.assert_allclose(result["packed"], expected["packed"], atol=1e-12)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no copies")
+@pytest.mark.parametrize(
+    ("params", "sentence"),
+    [
+        ({"how": "SIGSEGV"}, "crashed .SIGSEGV"),
+        ({"how": "SIGKILL"}, "memory ran out"),
+        ({"how": "raise"}, "asked to fail"),
+        ({"how": "allocate", "mib": 1 << 30}, "'fail' ran out of memory"),
+    ],
+)
+def test_a_dying_copy_is_a_stage_error(params, sentence):
+    with started_early({"fail": {}}, copied=True), pytest.raises(StageError, match=sentence):
+        run_task("fail", {}, params, 30.0)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no copies")
+def test_a_hanging_copy_is_stopped_and_an_idle_one_ends():
+    start = time.monotonic()
+    with started_early({"fail": {}, "charts": {}}, copied=True):
+        idle = child._early["charts"].process
+        with pytest.raises(StageError, match="longer than 1 s"):
+            run_task("fail", {}, {"how": "hang"}, 1.0)
+        assert idle.poll() is None
+    assert idle.returncode is not None
+    assert time.monotonic() - start < 15.0
+
+
+def test_room_changes_no_collapse():
+    surface = plain_surface(*hills(30))
+    before = collapsed(surface, 400, 7.0)
+    make_room(5000, 2500)
+    for one, other in zip(before, collapsed(surface, 400, 7.0), strict=True):
+        np.testing.assert_array_equal(one, other)
