@@ -34,6 +34,8 @@ def said(gl: Device, **quality: Any) -> choice.Choice | None:
 def test_what_the_nearest_recipe_is_off_by_is_what_the_study_found():
     worst: dict[float, float] = {}
     for table in TRADE.glob("*/trade.csv"):
+        if table.parent.name == "own_head_gpu":  # of before decision 22: its README says so
+            continue
         for row in csv.DictReader(table.read_text(encoding="utf-8").splitlines()):
             view, name = row["case"].split(": ", 1)
             if name == "gaussian_sum, supersampling 2":
@@ -53,7 +55,7 @@ def test_the_nearest_recipe_s_error_is_known_at_any_scale(px_per_mm: float):
 
 @pytest.mark.gl
 def test_a_wider_bound_is_a_cheaper_recipe(gl: Device):
-    picked = [said(gl, max_delta_e=bound) for bound in (0.01, 0.55, 50.0)]
+    picked = [said(gl, max_delta_e=bound) for bound in (0.01, 0.4, 50.0)]
     ranks = [RECIPES.index(made.recipe) for made in picked if made is not None]
     assert ranks == sorted(ranks, reverse=True)
     tight, middle, wide = picked
@@ -63,7 +65,7 @@ def test_a_wider_bound_is_a_cheaper_recipe(gl: Device):
     assert (tight.recipe, tight.satisfies) == (NEAREST, False)
     assert "nothing satisfies" in tight.sentence
     assert middle.satisfies
-    assert middle.delta_e <= 0.55
+    assert middle.delta_e <= 0.4
     assert (wide.recipe, wide.satisfies) == (RECIPES[0], True)
     assert wide.pipeline.diffusion.method == "none"
 
