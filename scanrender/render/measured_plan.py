@@ -3,7 +3,7 @@
 Each trial of `trials.py` is rendered and compared with the shot as it was asked for, so that what
 is left out together is judged together. Trials in millimetres are made on small pictures of several
 frames; trials in pixels on windows of the picture itself, where it is busiest or scatters most. In
-the end a whole frame is compared, and the last changes are taken back while that differs too much.
+the end whole frames are compared, and changes are taken back while they differ too much.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ SMALL_PX = 256
 VIEWS = 12
 TILE_PX = 12
 WINDOW_PX = 256
+# Of the tolerance, for whole frames: other frames than those looked at differ by more than these.
+MARGIN = 0.8
 LEAST_COVERED = 0.25  # of a tile: with less it speaks for the rim alone
 
 
@@ -108,7 +110,7 @@ def measure_plan(
             say(f"{trial.what}: {finding.sentence}")
             if fits:
                 plan.pipeline = candidate
-                taken.append(_Taken(trial, number))
+                taken.append(_Taken(trial, number, difference.delta_e))
                 break
     _confirm(plan, probe, taken, tolerance, say)
     plan.asked_ms, plan.planned_ms = probe.milliseconds(plan.pipeline)
@@ -120,11 +122,13 @@ def measure_plan(
 class _Taken:
     trial: Trial
     option: int
+    delta_e: float
 
     @property
     def dearer(self) -> _Taken | None:
         more = self.option + 1
-        return _Taken(self.trial, more) if more < len(self.trial.options) else None
+        is_there = more < len(self.trial.options)
+        return _Taken(self.trial, more, self.delta_e) if is_there else None
 
 
 def _confirm(
@@ -134,12 +138,13 @@ def _confirm(
     tolerance: float,
     say: Callable[[str], None],
 ) -> None:
-    """Compare a whole frame; while it differs too much, make the last change a lesser one."""
+    """Compare whole frames; while they differ too much, make a change a lesser one: the one with
+    which the largest difference was found."""
     while taken:
-        plan.final = probe.whole(plan.pipeline)
-        if plan.final.delta_e <= tolerance:
+        plan.final = probe.whole(plan.pipeline, MARGIN * tolerance)
+        if plan.final.delta_e <= MARGIN * tolerance:
             return
-        last = taken.pop()
+        last = taken.pop(max(range(len(taken)), key=lambda k: taken[k].delta_e))
         value = last.trial.options[last.option][0]
         finding = Finding(last.trial.what, value, False, plan.final, tolerance)
         plan.findings = [f for f in plan.findings if (f.what, f.value) != (finding.what, value)]
@@ -174,7 +179,7 @@ class _Probe:
         number = int(np.argmax([spread for spread, _ in busy]))
         self._places = [(frames[number], busy[number][1])]
         self._windows: list[Frame] = []
-        self._whole: Frame | None = None
+        self._wholes: dict[int, Frame] = {}
 
     def difference(self, trial: Trial, candidate: Pipeline, tolerance: float) -> Difference:
         """The largest difference; what comes after one beyond the tolerance is not looked at."""
@@ -192,14 +197,22 @@ class _Probe:
             self._places.append((worst.frame, worst.worst_at))
         return worst
 
-    def whole(self, candidate: Pipeline) -> Difference:
-        """One whole frame of both, by the 95 % alone: its parts are judged by then."""
-        index = self._places[0][0]
-        if self._whole is None:
-            self._whole = self.renderer.render(self.renderer.view(index))
+    def whole(self, candidate: Pipeline, tolerance: float) -> Difference:
+        """Whole frames of both, by the 95 % alone: their parts are judged by then. The busiest,
+        and two that stand a third of the frames further each."""
         renderer = self._like(candidate)
-        mine = renderer.render(renderer.view(index))
-        return _difference(mine, self._whole, index, max(mine.alpha.shape))
+        worst: Difference | None = None
+        first, count = self.frames.index(self._places[0][0]), len(self.frames)
+        for index in dict.fromkeys(self.frames[(first + count * k // 3) % count] for k in range(3)):
+            if index not in self._wholes:
+                self._wholes[index] = self.renderer.render(self.renderer.view(index))
+            mine = renderer.render(renderer.view(index))
+            found = _difference(mine, self._wholes[index], index, max(mine.alpha.shape))
+            worst = found if worst is None or found.delta_e > worst.delta_e else worst
+            if worst.delta_e > tolerance:
+                break
+        assert worst is not None
+        return worst
 
     def milliseconds(self, candidate: Pipeline) -> tuple[float, float]:
         """Of a whole frame as asked for, and of the candidate's: both compiled by now."""
