@@ -28,7 +28,8 @@ CASES = {
     f"[default: {CASES['prep']}]. fidelity: noise_0, noise_0.02, noise_0.05, noise_0.1, phantom "
     f"[default: {CASES['fidelity']}]. render: close, mid, far, empty "
     "[default: all]. flicker: none, gaussian_sum, separable_preintegrated, jitter "
-    f"[default: {CASES['flicker']}]. plan: how many random shots [default: {CASES['plan']}].",
+    f"[default: {CASES['flicker']}]. plan: how many random shots [default: {CASES['plan']}]. "
+    "choice: side, front, half [default: all].",
 )
 @click.option(
     "--scans",
@@ -102,7 +103,8 @@ def command(
         rows = plan_bench.bench_plan(out, scans, say, asset, options.count(named, "--cases"))
         table = plan_bench.plan_text(rows)
     elif target == "choice":
-        rows = choice_bench.bench_choice(out, scans, say)
+        views = chosen(named, choice_bench.VIEWS)
+        rows = choice_bench.bench_choice(views, out, scans, say)
         table = choice_bench.choice_text(rows)
     else:
         rows = fidelity.bench_fidelity(fidelity.fidelity_list(named), out, scans, say)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,6 +45,7 @@ def command(
     from scanrender.asset import is_asset, load_asset
     from scanrender.batch.job import RENDERED_MAPS
     from scanrender.batch.shot import as_data
+    from scanrender.errors import ScanrenderError
     from scanrender.render.device import device
     from scanrender.render.frame import Renderer
     from scanrender.render.measured_plan import measure_plan
@@ -59,7 +61,12 @@ def command(
         from scanrender.scan.prepare import prepare
 
         say(f"preparing {scan}")
-        prepare(scan, settings.scan, settings.prep, out / "asset", maps=())
+        try:
+            prepare(scan, settings.scan, settings.prep, out / "asset", maps=())
+        except ScanrenderError:
+            with contextlib.suppress(OSError):  # something else is in it: that stays
+                out.rmdir()
+            raise
         scan = out / "asset"
     renderer = Renderer(gl, load_asset(scan, RENDERED_MAPS), settings)
     tolerance = settings.quality.tolerance_delta_e or USUAL_TOLERANCE

@@ -76,12 +76,6 @@ class Choice:
     frame_ms: float
     satisfies: bool
 
-    @property
-    def sentence(self) -> str:
-        predicted = f"predicted dE2000 {self.delta_e:.2f} to truth, {self.frame_ms:.0f} ms a frame"
-        short = "" if self.satisfies else "; nothing satisfies what was asked for, this is nearest"
-        return f"{self.recipe.name}: {predicted}{short}"
-
 
 def nearest_delta_e(px_per_mm: float) -> float:
     """dE2000 to truth to be expected of the nearest recipe at this scale."""

@@ -39,22 +39,24 @@ def _directional(azimuth_deg: float, elevation_deg: float, irradiance: float) ->
 
 # Turned, lit and framed unlike the study, which looks at 20 degrees, one lamp, 252 to 1513 mm.
 VIEWS: Mapping[str, tuple[str, ...]] = {
-    "side, 180 mm": (
+    "side": (
         "camera.height_mm=180", "turntable.start_deg=-50",
         f"lights=[{_directional(-30, 20, 1.5)}]",
     ),
-    "front, 400 mm, two lamps": (
+    "front": (
         "camera.height_mm=400", "turntable.start_deg=0",
         f"lights=[{_directional(60, 40, 1.4)}, {_directional(-70, 5, 0.5)}]",
     ),
-    "half, 900 mm, ambient": (
+    "half": (
         "camera.height_mm=900", "turntable.start_deg=50",
         f"lights=[{_directional(-80, 30, 2)}, {{type: ambient, irradiance: 0.2}}]",
     ),
 }  # fmt: skip
 
 
-def bench_choice(out: Path, scans: Path, say: Callable[[str], None]) -> list[dict[str, Any]]:
+def bench_choice(
+    views: Sequence[str], out: Path, scans: Path, say: Callable[[str], None]
+) -> list[dict[str, Any]]:
     """One row a head, view and wish; writes OUT/choice.json and OUT/choice.csv.
 
     Raises ScanrenderError's kinds.
@@ -62,9 +64,9 @@ def bench_choice(out: Path, scans: Path, say: Callable[[str], None]) -> list[dic
     make_folder(out)
     rows: list[dict[str, Any]] = []
     for name, asset in subjects(out, scans, say).items():
-        for view, settings in VIEWS.items():
+        for view in views:
             size = (f"camera.width_px={SIZE_PX}", f"camera.height_px={SIZE_PX}")
-            framing = (*size, *settings, *DIFFUSE_ALONE)
+            framing = (*size, *VIEWS[view], *DIFFUSE_ALONE)
             file = out / "truth" / f"{name}, {view}.npz"
             truth = truth_of(device(), asset, "trade", framing, file, say)
             for bound in BOUNDS:
