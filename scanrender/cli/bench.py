@@ -1,5 +1,5 @@
 """`scanrender bench prep`, `bench fidelity`, `bench render`, `bench flicker`, `bench plan`,
-`bench choice`"""
+`bench choice`, `bench truth`, `bench published`"""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ CASES = {
     "flicker": "none,gaussian_sum",
     "plan": "48",
     "choice": "all",
+    "truth": "all",
+    "published": "all",
 }
 
 
@@ -29,7 +31,7 @@ CASES = {
     f"[default: {CASES['fidelity']}]. render: close, mid, far, empty "
     "[default: all]. flicker: none, gaussian_sum, separable_preintegrated, jitter "
     f"[default: {CASES['flicker']}]. plan: how many random shots [default: {CASES['plan']}]. "
-    "choice: side, front, half [default: all].",
+    "choice: side, front, half [default: all]. truth and published have one case.",
 )
 @click.option(
     "--scans",
@@ -41,7 +43,8 @@ CASES = {
 @click.option(
     "--asset",
     type=click.Path(path_type=Path),
-    help="render, flicker, plan: a prepared folder, instead of our own head with 50 k triangles.",
+    help="render, flicker, plan, truth, published: a prepared folder, instead of our own head with "
+    "50 k triangles, or of the real ones.",
 )
 @click.option(
     "--repeats",
@@ -71,6 +74,8 @@ def command(
     flicker: what changes on the same point of the skin from frame to frame of the turntable.
     plan: how far planned frames are from everything on, and how much faster, on random shots.
     choice: whether what quality.max_delta_e and budget_ms pick is as near and fast as they promise.
+    truth: each method against the truth, and what a frame of 512 px takes.
+    published: what a planned frame gains on the method as published, at equal error.
     A table, OUT/TARGET.json and OUT/TARGET.csv; pictures in OUT.
     """
     from scanrender.measure import (
@@ -79,7 +84,9 @@ def command(
         flicker,
         plan_bench,
         prep_bench,
+        published_bench,
         render_bench,
+        truth_bench,
     )
     from scanrender.measure.chosen import chosen
     from scanrender.measure.limits import missed_limits
@@ -106,6 +113,12 @@ def command(
         views = chosen(named, choice_bench.VIEWS)
         rows = choice_bench.bench_choice(views, out, scans, say)
         table = choice_bench.choice_text(rows)
+    elif target == "truth":
+        rows = truth_bench.bench_truth(out, scans, say, asset)
+        table = truth_bench.truth_text(rows)
+    elif target == "published":
+        rows = published_bench.bench_published(out, scans, say, asset)
+        table = published_bench.published_text(rows)
     else:
         rows = fidelity.bench_fidelity(fidelity.fidelity_list(named), out, scans, say)
         table = fidelity.fidelity_text(rows)

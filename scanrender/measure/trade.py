@@ -100,13 +100,16 @@ def measured(
 
 
 def error_of(
-    renderer: Renderer, truth: Mapping[str, Any], frame: Frame | None = None
+    renderer: Renderer,
+    truth: Mapping[str, Any],
+    frame: Frame | None = None,
+    integral: str = "truth_mean",
 ) -> dict[str, Any]:
     """Every figure of a picture (its first frame, where none is given) against a truth."""
     frame = frame or renderer.render(renderer.view(0))
     skin = truth["skin"] * (truth["coverage"] == 1.0)
     mine = Picture(frame.buffers["beauty"].astype(np.float64), frame.alpha, skin)
-    right = Picture(truth["truth_mean"], truth["coverage"], (skin > SURE_SKIN).astype(np.float64))
+    right = Picture(truth[integral], truth["coverage"], (skin > SURE_SKIN).astype(np.float64))
     figures, _ = compare_pictures(mine, right, "skin", DEFAULT_PPD)
     return {k: v for k, v in figures.items() if k not in ("silhouette_leak", "border_leak")}
 
@@ -118,8 +121,10 @@ def truth_of(
     framing: Sequence[str],
     file: Path,
     say: Callable[[str], None],
+    every_px: int = 1,
 ) -> dict[str, Any]:
-    """truth_mean, coverage, skin (arrays) and notes (seconds, convergence); kept in `file`."""
+    """truth_mean, truth_sum, coverage, skin (arrays) and notes (seconds, convergence); kept in
+    `file`. Coverage is 0 in rows and columns that `every_px` leaves out."""
     if file.exists():
         with np.load(file, allow_pickle=False) as stored:
             arrays: dict[str, Any] = {key: stored[key] for key in stored.files if key != "notes"}
@@ -130,8 +135,9 @@ def truth_of(
     shot = renderer.scene.shot(renderer.camera.turned(view.camera_deg), view.subject_deg)
     size_px, offsets_px = renderer.camera.size_px, sample_offsets_px(TRUTH_SUPERSAMPLING)
     camera = PictureCamera(
-        shot.view_from_world, shot.world_from_object, shot.clip_from_view, size_px, offsets_px
-    )
+        shot.view_from_world, shot.world_from_object, shot.clip_from_view, size_px, offsets_px,
+        every_px,
+    )  # fmt: skip
     say(f"integrating the truth, {size_px[0]} x {size_px[1]}, {len(offsets_px)} samples a pixel")
     begun = time.perf_counter()
     found = truth_picture(asset, renderer.pipeline, profile_of(settings.skin), camera)
@@ -143,7 +149,10 @@ def truth_of(
     }
     halved = found.convergence.truth_mean.mean
     say(f"  {notes['seconds']} s; half its spacing moves it by dE2000 {halved:.3f}")
-    arrays = {"truth_mean": found.truth_mean, "coverage": found.coverage, "skin": found.skin}
+    arrays = {
+        "truth_mean": found.truth_mean, "truth_sum": found.truth_sum,
+        "coverage": found.coverage, "skin": found.skin,
+    }  # fmt: skip
     make_folder(file.parent)
     with atomic_path(file) as beside:
         np.savez_compressed(beside, notes=np.array(json.dumps(notes)), **arrays)

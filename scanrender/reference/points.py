@@ -6,7 +6,7 @@ Matrices are 4x4 float64, `target_from_source`, for column vectors, as the rende
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,8 @@ class PictureCamera:
     """How one frame is looked at: OpenGL's matrices, (width, height), offsets of the samples.
 
     ``clip_from_view`` is that of the picture without guard band or jitter; ``offsets_px`` are
-    (right, down) of each supersample from the pixel's centre.
+    (right, down) of each supersample from the pixel's centre. Of rows and columns only each
+    ``every_px``-th is looked at: a large picture is judged by a grid of its own pixels.
     """
 
     view_from_world: Array
@@ -33,6 +34,7 @@ class PictureCamera:
     clip_from_view: Array
     size_px: tuple[int, int]
     offsets_px: Sequence[tuple[float, float]] = ((0.0, 0.0),)
+    every_px: int = 1
 
     @property
     def view_from_object(self) -> Array:
@@ -107,10 +109,14 @@ class Points:
 
 
 def camera_points(surface: Surface, camera: PictureCamera) -> Points:
-    """The points that the supersamples of every pixel show; a sample that misses has none."""
+    """The points that the supersamples of the pixels show; a sample that misses has none."""
     width, height = camera.size_px
     rows, columns = np.divmod(np.arange(width * height), width)
-    return _shown(surface, camera, columns + 0.5, rows + 0.5, camera.offsets_px)
+    first, step = camera.every_px // 2, camera.every_px
+    looked_at = np.flatnonzero((rows % step == first) & (columns % step == first))
+    column, row = columns[looked_at] + 0.5, rows[looked_at] + 0.5
+    found = _shown(surface, camera, column, row, camera.offsets_px)
+    return replace(found, pixel=looked_at[found.pixel])
 
 
 def points_of_positions(surface: Surface, camera: PictureCamera, position: Array) -> Points:
