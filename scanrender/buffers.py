@@ -6,8 +6,9 @@ table, and a test holds the two together.
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -26,6 +27,7 @@ class BufferSpec:
 
     `premultiplied` buffers are multiplied by their mask (alpha) on the device, and divided by it
     when they are dumped. `span` is the fixed range of the false-colour picture; None takes the 0.5 and 99.5 percentiles.
+    `limits` are the values that it can hold at all: what lies outside is a fault (`--check`).
     """
 
     name: str
@@ -36,6 +38,7 @@ class BufferSpec:
     healthy: str
     span: tuple[float, float] | None = None
     premultiplied: bool = False
+    limits: tuple[float, float] = (-math.inf, math.inf)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -53,9 +56,25 @@ def _spec(
     span: tuple[float, float] | None = None,
 ) -> BufferSpec:
     masked = name in ("diffusion_input", "gaussian_0", "diffuse_horizontal", "scattered")
-    return BufferSpec(name, kind, space, unit, meaning, healthy, span, masked)
+    limits = next(limits for limits, names in _LIMITS.items() if name in names)
+    return BufferSpec(name, kind, space, unit, meaning, healthy, span, masked, limits)
 
 
+_LIMITS: Mapping[tuple[float, float], Collection[str]] = {
+    (0.0, 1.0): (
+        "visibility_0", "albedo", "skin", "ao", "transmittance", "rejected", "nan_map", "display",
+    ),
+    (-1.0, 1.0): ("normal_geometry", "normal_shading"),
+    # Corners of Rec.709 in Lab: L 0 to 100, a -86 to 98, b -108 to 95.
+    (-110.0, 101.0): ("lab",),
+    (-math.inf, math.inf): ("position", "shadow_0", "curvature_raw", "curvature"),
+    # Light, lengths, areas, weights: as much as there is, but never less than nothing.
+    (0.0, math.inf): (
+        "depth_mm", "irradiance", "diffusion_input", "thickness_mm", "transmission", "jacobian",
+        "edge_guide", "weight_sum", "kernel_px", "gaussian_0", "diffuse_horizontal", "scattered",
+        "diffuse", "specular", "energy_ratio", "radiance", "beauty",
+    ),
+}
 LINEAR = "lin_rec709_scene"
 
 _SPECS = (

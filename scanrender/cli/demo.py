@@ -19,6 +19,7 @@ from scanrender.cli import options
 )
 @click.option("--seed", default=0, show_default=True, help="Another seed is another scan.")
 @options.overrides
+@options.check
 @options.progress
 @options.as_json
 @options.debug
@@ -27,6 +28,7 @@ def command(
     triangles: int,
     seed: int,
     overrides: tuple[str, ...],
+    check: bool,
     progress_kind: str,
     as_json: bool,
 ) -> None:
@@ -35,7 +37,8 @@ def command(
     from scanrender.cli.report import print_results
     from scanrender.settings.loading import load_pipeline
 
-    settings = load_pipeline("demo", overrides)
+    checked = (options.CHECK,) if check else ()
+    settings = load_pipeline("demo", (*overrides, *checked))
     from scanrender.batch.job import run_job
     from scanrender.files import check_writable
     from scanrender.phantom import Damage, make_head, scan_head, write_ply

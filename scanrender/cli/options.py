@@ -30,6 +30,18 @@ def overrides(command: F) -> F:
     )(command)
 
 
+def check(command: F) -> F:
+    return click.option(
+        "--check",
+        is_flag=True,
+        help="Look at what each pass writes, and stop at the first wrong value with its place.",
+    )(command)
+
+
+# What --check sets.
+CHECK = "quality.check=true"
+
+
 def progress(command: F) -> F:
     return click.option(
         "--progress",

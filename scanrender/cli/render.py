@@ -19,6 +19,7 @@ from scanrender.cli import options
     help="Pipeline file or shipped name that holds the settings.",
 )
 @options.overrides
+@options.check
 @options.out("out/render")
 @click.option(
     "--frames",
@@ -35,6 +36,7 @@ def command(
     asset: Path,
     pipeline: str,
     overrides: tuple[str, ...],
+    check: bool,
     out: Path,
     frames: str,
     buffers: str | None,
@@ -45,7 +47,8 @@ def command(
     from scanrender.cli.progress import progress
     from scanrender.settings.loading import load_pipeline
 
-    settings = load_pipeline(pipeline, (*overrides, "stages=[render]"))
+    checked = (options.CHECK,) if check else ()
+    settings = load_pipeline(pipeline, (*overrides, *checked, "stages=[render]"))
     options.existing(asset, "asset")
     count = settings.turntable.frames
     chosen = None if frames == "all" else options.frame_range(frames, count)

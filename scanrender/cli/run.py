@@ -15,6 +15,7 @@ OWN_HEAD_TRIANGLES = 400_000
 @click.argument("pipeline")
 @click.argument("scans", nargs=-1, type=click.Path(path_type=Path))
 @options.overrides
+@options.check
 @options.out("out")
 @click.option("--frames", metavar="A-B", help="Only these frames (0-based, inclusive), as PNG.")
 @click.option("--dry-run", is_flag=True, help="Check everything and say what would be done.")
@@ -25,6 +26,7 @@ def command(
     pipeline: str,
     scans: tuple[Path, ...],
     overrides: tuple[str, ...],
+    check: bool,
     out: Path,
     frames: str | None,
     dry_run: bool,
@@ -42,7 +44,8 @@ def command(
     from scanrender.errors import UsageError
     from scanrender.settings.loading import load_pipeline
 
-    settings = load_pipeline(pipeline, overrides)
+    checked = (options.CHECK,) if check else ()
+    settings = load_pipeline(pipeline, (*overrides, *checked))
     if not scans and settings.figure.panels:
         scans = (_own_head(out),)
     if not scans:

@@ -15,6 +15,7 @@ from scanrender.asset import Asset
 from scanrender.buffers import CATALOGUE, Frame, buffer_spec
 from scanrender.errors import StageError, UsageError
 from scanrender.render.camera import Camera, frame_subject
+from scanrender.render.check import check_beauty, check_pass
 from scanrender.render.device import Device
 from scanrender.render.graph import Graph, TexturePool
 from scanrender.render.lamps import WIDEST_MAP_DEG
@@ -50,9 +51,10 @@ class Renderer:
         self.device = device
         self.pipeline, self.decisions = plan(pipeline, asset.maps)
         self.scene = Scene(device, asset, self.pipeline, None if like is None else like.scene)
-        self.graph = Graph(all_passes(self.scene), self.scene.dtype)
+        check = check_pass if self.pipeline.quality.check else None
+        self.graph = Graph(all_passes(self.scene), self.scene.dtype, check)
         self.pool = TexturePool(device) if like is None else like.pool
-        self.supersampler = Supersampler(device, self.pool, self.scene, self.graph)
+        self.supersampler = Supersampler(device, self.pool, self.scene, self.graph, check)
         self.decisions += _light_decisions(self.scene) + _curvature_decisions(self.scene)
         self.camera = self._camera() if like is None else like._camera_for(self.pipeline)
         self.guard_px = self._guard_px()
@@ -88,9 +90,19 @@ class Renderer:
         Other buffers come from a sample of their own at the pixel's centre, since the mean of two
         positions across a silhouette is the position of nothing; so the picture is the same
         whatever is asked for beside it. Raises UsageError for a buffer that this scene does not
-        make, StageError when the picture holds non-finite pixels.
+        make, StageError when the picture holds what is no light, or with `quality.check` when any
+        pass has written what its buffer cannot hold.
         """
         self._check_names(buffers)
+        try:
+            return self._render(view, buffers, timings)
+        except StageError as error:
+            where = ", ".join(filter(None, (f"frame {view.index}", error.where)))
+            raise StageError(error.what, where, error.fix) from error
+
+    def _render(
+        self, view: View, buffers: Collection[str], timings: dict[str, float] | None
+    ) -> Frame:
         shot = self._shot(view)
         beauty = self.supersampler.beauty(partial(self._shot, view), timings)
         tonemapped = self.graph.run(
@@ -102,7 +114,7 @@ class Renderer:
         self.pool.give_back(tonemapped["display"])
         pixels.update(self._dump(shot, [n for n in buffers if n not in RESOLVED], timings))
         alpha = np.ascontiguousarray(pixels["beauty"][:, :, 3])
-        self._check_finite(pixels["beauty"], view)
+        check_beauty(pixels["beauty"])
         cropped = {name: _channels(name, array) for name, array in pixels.items()}
         return Frame(cropped, alpha, self._info(view))
 
@@ -189,17 +201,6 @@ class Renderer:
                     f"this scene makes no buffer {name!r}",
                     fix=f"it makes: {', '.join(known)}",
                 )
-
-    def _check_finite(self, beauty: npt.NDArray[np.float32], view: View) -> None:
-        # In float64 no picture's sum overflows: it is finite when each pixel is.
-        if not np.isfinite(beauty.sum(dtype=np.float64)):
-            bad = ~np.isfinite(beauty).all(axis=2)
-            y, x = np.argwhere(bad)[0]
-            raise StageError(
-                f"frame {view.index} has {int(bad.sum())} non-finite pixels in beauty",
-                where=f"first at column {x}, row {y}",
-                fix="dump the buffers of this frame: scanrender render ASSET --buffers all",
-            )
 
     def _info(self, view: View) -> dict[str, object]:
         return {

@@ -52,6 +52,9 @@ class Pass:
     depth_test: bool = False
 
 
+Check = Callable[[Pass, Any, Sequence[moderngl.Texture]], None]
+
+
 class TexturePool:
     """Textures and framebuffers, kept for reuse."""
 
@@ -95,9 +98,13 @@ class TexturePool:
 class Graph:
     """All passes a scene could run. Raises ValueError when two passes write the same buffer."""
 
-    def __init__(self, passes: Iterable[Pass], dtype: str = "f4") -> None:
-        """`dtype` ("f4", "f2") is that of buffers which need not be exact."""
-        self._dtype = dtype
+    def __init__(
+        self, passes: Iterable[Pass], dtype: str = "f4", check: Check | None = None
+    ) -> None:
+        """`dtype` ("f4", "f2") is that of buffers which need not be exact; `check` is called after
+        each pass with what it has written, and raises where that is wrong.
+        """
+        self._dtype, self._check = dtype, check
         self._writer: dict[str, Pass] = {}
         for step in passes:
             for buffer in step.writes:
@@ -180,6 +187,8 @@ class Graph:
                 dtype = "f4" if buffer.exact else self._dtype
                 live[buffer.name] = pool.take(buffer.size or shot.size, buffer.components, dtype)
             self._draw(device, pool, shot, step, live, where)
+            if self._check is not None:
+                self._check(step, shot, [live[b.name] for b in step.writes])
             if timings is not None:
                 device.finish()
                 timings[step.name] = timings.get(step.name, 0.0) + time.perf_counter() - started

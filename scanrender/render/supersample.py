@@ -8,7 +8,7 @@ from typing import Protocol
 import moderngl
 
 from scanrender.render.device import Device, bind
-from scanrender.render.graph import Graph, TexturePool, everywhere
+from scanrender.render.graph import Check, Graph, TexturePool, everywhere
 from scanrender.render.passes import all_passes, reproject
 from scanrender.render.samples import sample_offsets_px
 from scanrender.render.scene import Scene, Shot
@@ -34,7 +34,15 @@ class ShotAt(Protocol):
 class Supersampler:
     """Renders `beauty` of one scene: radiance, resolved (RGB premultiplied by coverage)."""
 
-    def __init__(self, device: Device, pool: TexturePool, scene: Scene, graph: Graph) -> None:
+    def __init__(
+        self,
+        device: Device,
+        pool: TexturePool,
+        scene: Scene,
+        graph: Graph,
+        check: Check | None = None,
+    ) -> None:
+        """`check` as in Graph."""
         self._device, self._pool, self._scene, self._graph = device, pool, scene, graph
         quality, diffusion = scene.pipeline.quality, scene.pipeline.diffusion
         offsets = sample_offsets_px(quality.supersampling)
@@ -43,7 +51,7 @@ class Supersampler:
             offsets = [CENTRE, *(offset for offset in offsets if offset != CENTRE)]
         self._offsets = offsets
         self._halved = diffusion.resolution == "half" and diffusion.method != "none"
-        self._further = _further_graph(scene)
+        self._further = _further_graph(scene, check)
         # Shadow maps have a size of their own, and are the same for every sample.
         self._kept = graph.kept({"radiance"})
         self._shared = [name for name in reproject.GIVEN if name in graph.writes]
@@ -154,11 +162,11 @@ class Supersampler:
         return where
 
 
-def _further_graph(scene: Scene) -> Graph:
+def _further_graph(scene: Scene, check: Check | None) -> Graph:
     """The passes of a further sample: what scatters is taken from the pixel's centre."""
     own = [step for step in all_passes(scene) if all(b.name != "scattered" for b in step.writes)]
     scatters = scene.pipeline.diffusion.method != "none"
-    return Graph([*own, *(reproject.passes(scene) if scatters else [])], scene.dtype)
+    return Graph([*own, *(reproject.passes(scene) if scatters else [])], scene.dtype, check)
 
 
 def _switch(context: moderngl.Context, flag: int, on: bool) -> None:

@@ -89,6 +89,12 @@ class QualitySettings(Section):
         "moves in half the time. Lengths and sums always are full.",
         unit="",
     )
+    check: bool = setting(
+        False,
+        "Looks at what each pass has written, and stops at the first value that is not finite or "
+        "that its buffer cannot hold: pass, buffer, place. The picture always is looked at.",
+        unit="",
+    )
     tolerance_delta_e: float | None = setting(
         None,
         "Before a turntable, what changes its picture by less than this is measured and left out: "

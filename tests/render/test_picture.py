@@ -23,7 +23,6 @@ from render.synthetic import (
 )
 
 from scanrender.asset import Asset
-from scanrender.errors import StageError
 from scanrender.render.device import Device
 from scanrender.render.frame import Renderer
 from scanrender.render.scene import NEUTRAL_MAPS
@@ -253,16 +252,6 @@ def test_any_valid_settings_give_a_picture(gl, roughness, f0, cone, distance, az
     )  # fmt: skip
     assert (made["beauty"] >= 0).all()
     assert made["alpha"].max() == 1
-
-
-def test_the_check_for_non_finite_pixels(gl: Device):
-    renderer = Renderer(gl, plane(10.0), pipeline(MATT))
-    beauty = np.zeros((4, 5, 4), np.float32)
-    renderer._check_finite(beauty, renderer.view(3))
-    beauty[2, 1, 0] = np.inf
-    with pytest.raises(StageError, match="frame 3 has 1 non-finite") as caught:
-        renderer._check_finite(beauty, renderer.view(3))
-    assert caught.value.where == "first at column 1, row 2"
 
 
 def test_a_scan_without_maps_is_drawn_with_neutral_ones(gl: Device):
