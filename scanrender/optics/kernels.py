@@ -133,7 +133,8 @@ def footprint_taps(
         return np.asarray(at * 0.5 * erfc(-u / math.sqrt(2.0)) + sigma * density)
 
     cumulative = (integral(x + 0.5 * cell) - integral(x - 0.5 * cell)) / cell
-    return _folded(cumulative)
+    # It only rises, to 1: where it is flat, rounding made taps of -1e-15, and so negative light.
+    return _folded(np.clip(np.maximum.accumulate(cumulative, axis=1), 0.0, 1.0))
 
 
 def discrete_gaussian_taps(sigma_px: npt.ArrayLike, radius_px: int) -> Array:
@@ -148,7 +149,8 @@ def discrete_gaussian_taps(sigma_px: npt.ArrayLike, radius_px: int) -> Array:
         raise ConfigError("needs sigma_px >= 0 and radius_px 1 to 64", "sigma_px")
     order = np.arange(-radius_px, radius_px + 1, dtype=np.float64)
     weights = scaled_bessel_i(np.abs(order)[None], np.square(sigma))
-    lost = 1.0 - weights.sum(axis=1)
+    # Nothing is lost of a narrow one: rounding must not make a negative end of it.
+    lost = np.maximum(1.0 - weights.sum(axis=1), 0.0)
     weights[:, 0] += 0.5 * lost
     weights[:, -1] += 0.5 * lost
     return weights

@@ -43,13 +43,18 @@ class Buffer:
 
 @dataclass(frozen=True)
 class Pass:
-    """One pass. `draw(shot, inputs, target)` draws into the bound, cleared framebuffer `target`."""
+    """One pass. `draw(shot, inputs, target)` draws into the bound, cleared framebuffer `target`.
+
+    The last of `writes` are left out of it while nobody reads them. `in_picture` is a pass whose
+    pixels no filter reads: it has no use for the guard band.
+    """
 
     name: str
     reads: tuple[str, ...]
     writes: tuple[Buffer, ...]
     draw: Callable[[Any, Mapping[str, moderngl.Texture], moderngl.Framebuffer], None]
     depth_test: bool = False
+    in_picture: bool = False
 
 
 Check = Callable[[Pass, Any, Sequence[moderngl.Texture]], None]
@@ -181,12 +186,14 @@ class Graph:
         steps = self.order(wanted, given or {})
         last_use = {name: i for i, step in enumerate(steps) for name in step.reads}
         live: dict[str, moderngl.Texture] = dict(given or {})
+        read = {*wanted, *last_use}
         for index, step in enumerate(steps):
             started = time.perf_counter()
-            for buffer in step.writes:
+            writes = step.writes if self._check else _read_by(step, read)
+            for buffer in writes:
                 dtype = "f4" if buffer.exact else self._dtype
                 live[buffer.name] = pool.take(buffer.size or shot.size, buffer.components, dtype)
-            self._draw(device, pool, shot, step, live, where)
+            self._draw(device, pool, shot, step, [live[b.name] for b in writes], live, where)
             if self._check is not None:
                 self._check(step, shot, [live[b.name] for b in step.writes])
             if timings is not None:
@@ -204,10 +211,10 @@ class Graph:
         pool: TexturePool,
         shot: Any,
         step: Pass,
+        textures: Sequence[moderngl.Texture],
         live: Mapping[str, moderngl.Texture],
         where: moderngl.Renderbuffer | None,
     ) -> None:
-        textures = [live[b.name] for b in step.writes]
         own = pool.depth(textures[0].size) if step.depth_test else None
         target = pool.framebuffer(textures, own or where)
         target.depth_mask = step.depth_test
@@ -224,9 +231,15 @@ class Graph:
         else:
             context.disable(moderngl.DEPTH_TEST)
         if not step.depth_test:
-            target.scissor = shot.scissor
+            target.scissor = shot.picture_scissor if step.in_picture else shot.scissor
         step.draw(shot, {name: live[name] for name in step.reads}, target)
         everywhere(target)
+
+
+def _read_by(step: Pass, read: Collection[str]) -> tuple[Buffer, ...]:
+    """What the pass has to write: up to the last buffer that is `read`."""
+    used = [number for number, buffer in enumerate(step.writes) if buffer.name in read]
+    return step.writes[: max(used) + 1]
 
 
 def everywhere(target: moderngl.Framebuffer) -> None:

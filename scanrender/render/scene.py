@@ -35,6 +35,9 @@ NEUTRAL_MAPS = {
     "ao": (1.0,),
     "skin": (1.0,),
 }
+# How far outside the picture a pixel may be that one of the picture's own is made from, after light
+# has scattered: `reproject` looks 2 px around, in a picture of half the size.
+PICTURE_EDGE_PX = 4
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,16 @@ class Shot:
     guard_px: int
     jitter_px: tuple[float, float] = (0.0, 0.0)
     footprint_px: float = 1.0
+
+    @property
+    def picture_scissor(self) -> tuple[int, int, int, int]:
+        """`scissor` without the guard band, but for the pixels that neighbours of the picture's own
+        are read from."""
+        beyond = max(self.guard_px - PICTURE_EDGE_PX, 0)
+        left, low, wide, high = self.scissor
+        right, top = min(left + wide, self.size[0] - beyond), min(low + high, self.size[1] - beyond)
+        left, low = max(left, beyond), max(low, beyond)
+        return left, low, max(right - left, 0), max(top - low, 0)
 
     @property
     def view_from_object(self) -> Matrix:

@@ -59,6 +59,11 @@ class Supersampler:
     def beauty(self, shot_at: ShotAt, timings: Timings) -> moderngl.Texture:
         """The picture's mean over samples; the caller gives it back to the pool."""
         given = self._scattered(shot_at(halved=True), timings) if self._halved else {}
+        if len(self._offsets) == 1:
+            # Its radiance is the mean already; covered pixels are covered whole.
+            radiance, given = self._sample(shot_at(self._offsets[0]), 0, given, timings, None)
+            self._give_back(given)
+            return radiance
         share, where = 1.0 / len(self._offsets), None
         beauty: moderngl.Texture | None = None
         for number, offset in enumerate(self._offsets):
@@ -72,8 +77,7 @@ class Supersampler:
                 where = self._mark(radiance, shot)
             self._add(radiance, beauty, shot, share, where, replaces=alone)
             self._pool.give_back(radiance)
-        for texture in given.values():
-            self._pool.give_back(texture)
+        self._give_back(given)
         assert beauty is not None
         return beauty
 
@@ -95,6 +99,10 @@ class Supersampler:
         wanted = {"radiance", *self._kept, *shared}
         made = graph.run(self._device, self._pool, shot, wanted, None, timings)
         return made["radiance"], self._to_give(made, shared)
+
+    def _give_back(self, given: Mapping[str, moderngl.Texture]) -> None:
+        for texture in given.values():
+            self._pool.give_back(texture)
 
     def _scattered(self, shot: Shot, timings: Timings) -> dict[str, moderngl.Texture]:
         """What every sample is given, from a picture of half the size."""

@@ -150,7 +150,7 @@ def test_footprint_taps_are_a_partition_of_unity(sigma, radius, shift, samples):
     taps = footprint_taps([sigma], radius, shift, samples)
     assert taps.shape == (1, 2 * radius + 1)
     assert taps.sum() == pytest.approx(1.0, abs=1e-12)
-    assert taps.min() >= -1e-12
+    assert taps.min() >= 0.0, "a negative tap is negative light"
 
 
 def test_footprint_taps_of_no_width_are_the_identity():
@@ -183,6 +183,15 @@ def test_discrete_gaussian_taps_have_the_variance_asked_for(sigma):
     assert taps.sum() == pytest.approx(1.0, abs=1e-12)
     assert taps @ j**2 == pytest.approx(sigma**2, abs=1e-6)
     np.testing.assert_array_equal(taps, taps[::-1])
+
+
+@pytest.mark.parametrize("radius", range(1, 33))
+def test_no_tap_of_a_narrow_gaussian_is_negative(radius):
+    """Whatever rounding does to what lies beyond the last tap."""
+    sigma = np.linspace(0.0, 4.0, 129)
+    assert discrete_gaussian_taps(sigma, radius).min() >= 0.0
+    for shift, samples in ((0.0, 1), (0.25, 2), (-0.375, 4)):
+        assert footprint_taps(sigma, radius, shift, samples).min() >= 0.0
 
 
 def test_discrete_gaussians_add_up():

@@ -37,4 +37,4 @@ def passes(scene: Scene) -> list[Pass]:
         )
         scene.device.fill(program)
 
-    return [Pass("diffuse", (*SURFACE, *light), (Buffer("diffuse"),), draw)]
+    return [Pass("diffuse", (*SURFACE, *light), (Buffer("diffuse"),), draw, in_picture=True)]

@@ -61,7 +61,7 @@ def passes(scene: Scene) -> list[Pass]:
     reads = ("diffusion_input", *guides(scene))
     return [
         weight_pass(scene, draws, "disk"),
-        Pass("scattered", reads, (Buffer("scattered"),), draw),
+        Pass("scattered", reads, (Buffer("scattered"),), draw, in_picture=True),
     ]
 
 

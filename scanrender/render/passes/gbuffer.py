@@ -18,9 +18,10 @@ WRITES = (
     Buffer("normal_geometry"),
     Buffer("normal_shading"),
     Buffer("albedo"),
+    Buffer("depth_mm", components=1, exact=True),
+    # Last, where they are left out if nothing reads them.
     Buffer("skin", components=1),
     Buffer("ao", components=1),
-    Buffer("depth_mm", components=1, exact=True),
 )
 
 

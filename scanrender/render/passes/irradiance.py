@@ -21,6 +21,9 @@ from scanrender.render.scene import Scene, Shot
 
 def passes(scene: Scene) -> list[Pass]:
     shadowed = [f"visibility_{lamp.index}" for lamp in scene.lamps if lamp.settings.shadow]
+    has_ambient = bool(np.any(scene.ambient))
+    # What hides the sky hides no lamp.
+    hides_sky = has_ambient or bool(scene.environments)
 
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
@@ -29,18 +32,19 @@ def passes(scene: Scene) -> list[Pass]:
         common = {
             "position": inputs["position"],
             "normal_shading": inputs["normal_shading"],
-            "ao": inputs["ao"],
             "directional_albedo": scene.directional_albedo,
         }
-        ambient = {
-            "ambient": scene.ambient,
-            "mean_directional_albedo": scene.mean_directional_albedo,
-            "visibility": scene.white,
-            "irradiance_map": scene.white,
-        }
-        program = device.program("irradiance", defines=(AMBIENT,))
-        bind(program, {**common, **ambient})
-        device.fill(program)
+        common |= {"ao": inputs["ao"]} if hides_sky else {}
+        if has_ambient:
+            ambient = {
+                "ambient": scene.ambient,
+                "mean_directional_albedo": scene.mean_directional_albedo,
+                "visibility": scene.white,
+                "irradiance_map": scene.white,
+            }
+            program = device.program("irradiance", defines=(AMBIENT,))
+            bind(program, {**common, **ambient})
+            device.fill(program)
         device.context.enable(moderngl.BLEND)
         device.context.blend_func = moderngl.ONE, moderngl.ONE
         for environment in scene.environments:
@@ -66,5 +70,5 @@ def passes(scene: Scene) -> list[Pass]:
             bind(program, uniforms)
             device.fill(program)
 
-    reads = ("position", "normal_shading", "ao", *shadowed)
+    reads = ("position", "normal_shading", *(["ao"] if hides_sky else []), *shadowed)
     return [Pass("irradiance", reads, (Buffer("irradiance"),), draw)]

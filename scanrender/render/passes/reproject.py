@@ -43,4 +43,4 @@ def passes(scene: Scene) -> list[Pass]:
         scene.device.fill(program)
 
     reads = ("position", "diffusion_input", *GIVEN.values())
-    return [Pass("reproject", reads, (Buffer("scattered"),), draw)]
+    return [Pass("reproject", reads, (Buffer("scattered"),), draw, in_picture=True)]

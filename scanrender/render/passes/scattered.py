@@ -40,7 +40,8 @@ def passes(scene: Scene) -> list[Pass]:
             bind(program, uniforms)
             device.fill(program)
 
-    return [Pass("scattered", tuple(name for name, _ in terms), (Buffer("scattered"),), draw)]
+    reads = tuple(name for name, _ in terms)
+    return [Pass("scattered", reads, (Buffer("scattered"),), draw, in_picture=True)]
 
 
 def _weights(group: Sequence[Term]) -> bytes:

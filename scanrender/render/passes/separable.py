@@ -63,7 +63,8 @@ def _direction(scene: Scene, source: str, written: str, direction: tuple[int, in
         )
         scene.device.fill(program)
 
-    return Pass(written, (source, *guides(scene)), (Buffer(written),), draw)
+    reads, is_last = (source, *guides(scene)), written == "scattered"
+    return Pass(written, reads, (Buffer(written),), draw, in_picture=is_last)
 
 
 def taps_for(samples: int, reach_px: float) -> int:

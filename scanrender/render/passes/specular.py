@@ -19,20 +19,26 @@ from scanrender.render.passes._lamp import (
 )
 from scanrender.render.scene import Scene, Shot
 
+SURFACE = ("position", "normal_geometry", "normal_shading")
+
 
 def passes(scene: Scene) -> list[Pass]:
     shadowed = [f"visibility_{lamp.index}" for lamp in scene.lamps if lamp.settings.shadow]
+    has_ambient = bool(np.any(scene.ambient))
+    # What hides the sky hides no lamp.
+    surface = (*SURFACE, "ao") if has_ambient or scene.environments else SURFACE
 
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
         device = scene.device
         common = {**_material(scene), **shot.screen_uniforms}
-        common |= {name: inputs[name] for name in SURFACE}
-        ambient = {"ambient": scene.ambient, "visibility": scene.white}
-        program = device.program("specular", defines=(AMBIENT,))
-        bind(program, {**common, **ambient})
-        device.fill(program)
+        common |= {name: inputs[name] for name in surface}
+        if has_ambient:
+            ambient = {"ambient": scene.ambient, "visibility": scene.white}
+            program = device.program("specular", defines=(AMBIENT,))
+            bind(program, {**common, **ambient})
+            device.fill(program)
         device.context.enable(moderngl.BLEND)
         device.context.blend_func = moderngl.ONE, moderngl.ONE
         for environment in scene.environments:
@@ -59,10 +65,8 @@ def passes(scene: Scene) -> list[Pass]:
             bind(program, uniforms)
             device.fill(program)
 
-    return [Pass("specular", (*SURFACE, *shadowed), (Buffer("specular"),), draw)]
-
-
-SURFACE = ("position", "normal_geometry", "normal_shading", "ao")
+    reads = (*surface, *shadowed)
+    return [Pass("specular", reads, (Buffer("specular"),), draw, in_picture=True)]
 
 
 def _material(scene: Scene) -> dict[str, Any]:

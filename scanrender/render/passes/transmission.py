@@ -49,7 +49,8 @@ def passes(scene: Scene) -> list[Pass]:
                 _write_to(target, True, False, False)
             bind(program, {**common, **_lamp_uniforms(scene, lamp, shot, inputs)})
             device.fill(program)
-        _write_to(target, True, True, True)
+        if len(lamps) > 1:
+            _write_to(target, True, True, True)
 
     surface: tuple[str, ...] = SURFACE
     surface += ("_baked",) if is_baked else ()
@@ -60,7 +61,7 @@ def passes(scene: Scene) -> list[Pass]:
         Buffer("thickness_mm", components=1, exact=True),
         Buffer("transmittance"),
     )
-    return [Pass("transmission", reads, writes, draw)]
+    return [Pass("transmission", reads, writes, draw, in_picture=True)]
 
 
 def modulates_transmission(scene: Scene) -> bool:
@@ -70,8 +71,12 @@ def modulates_transmission(scene: Scene) -> bool:
 
 
 def _write_to(target: moderngl.Framebuffer, *attachments: bool) -> None:
-    """Which attachments take colour (moderngl's stub knows only the form for one)."""
-    target.color_mask = tuple((on,) * 4 for on in attachments)  # type: ignore[assignment]
+    """Which attachments take colour (moderngl's stub knows only the form for one). Those that
+    nobody reads are not there."""
+    count = len(target.color_attachments)
+    if count > 1:
+        masks = tuple((on,) * 4 for on in attachments[:count])
+        target.color_mask = masks  # type: ignore[assignment]
 
 
 def _transmittance_table(scene: Scene) -> tuple[moderngl.Texture, float]:

@@ -1,6 +1,6 @@
 #version 330 core
 // gbuffer: mesh + maps -> position (view, mm; a = coverage), normal_geometry, normal_shading
-// (view, unit), albedo (lin_rec709_scene; a = 1), skin, ao, depth_mm.
+// (view, unit), albedo (lin_rec709_scene; a = 1), depth_mm, skin, ao.
 // Check alone: normal_geometry must show no pores, normal_shading must.
 #include "screen.glsl"
 in vec3 v_position;
@@ -19,9 +19,9 @@ layout(location = 0) out vec4 position;
 layout(location = 1) out vec4 normal_geometry;
 layout(location = 2) out vec4 normal_shading;
 layout(location = 3) out vec4 albedo;
-layout(location = 4) out float skin;
-layout(location = 5) out float ao;
-layout(location = 6) out float depth_mm;
+layout(location = 4) out float depth_mm;
+layout(location = 5) out float skin;
+layout(location = 6) out float ao;
 
 // A scan's normals can vanish between opposed vertices; fall back rather than divide by zero.
 vec3 safe_unit(vec3 v, vec3 otherwise) {
