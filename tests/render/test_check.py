@@ -51,6 +51,8 @@ def planted(name: str, value: float, column: int, row: int) -> Callable[[Any], l
 
         def draw(shot: Any, inputs: Mapping[str, Any], target: Any) -> None:
             step.draw(shot, inputs, target)
+            if index >= len(target.color_attachments):
+                return  # nobody reads it: it is not written
             texture = target.color_attachments[index]
             guard = 0 if step.writes[index].size else shot.guard_px
             at = (column + guard, texture.height - 1 - guard - row, 1, 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from scanrender.errors import UsageError
 from scanrender.render.device import Device
 from scanrender.render.frame import Renderer
 from scanrender.render.graph import Buffer, Graph, Pass
+from scanrender.render.passes import all_passes
 
 KEY = {"type": "directional", "azimuth_deg": 40, "elevation_deg": 30, "shadow_px": 64}
 SPOT = {"type": "spot", "azimuth_deg": -150, "shadow_px": 64}
@@ -227,3 +229,38 @@ def test_a_shadow_map_as_large_as_the_picture_is_not_cropped(gl: Device):
     renderer = Renderer(gl, sphere(30.0, rings=12), settings)
     shadow = renderer.render(renderer.view(0), ["shadow_0"]).buffers["shadow_0"]
     assert shadow.shape == (side, side, 1)
+
+
+def test_what_nobody_reads_is_not_written(gl: Device):
+    """The last of a pass's buffers: the others keep their places in its shader."""
+    drawn: dict[str, int] = {}
+
+    def counting(step: Pass) -> Pass:
+        def draw(shot: Any, inputs: Any, target: Any) -> None:
+            drawn[step.name] = len(target.color_attachments)
+            step.draw(shot, inputs, target)
+
+        return replace(step, draw=draw)
+
+    renderer = Renderer(gl, sphere(20.0), pipeline(SMALL, lights=[KEY]))
+    graph = Graph(map(counting, all_passes(renderer.scene)))
+    shot = renderer._shot(renderer.view(0))
+    graph.run(gl, renderer.pool, shot, {"radiance"})
+    assert drawn["transmission"] == 1, "neither thickness nor transmittance"
+    assert drawn["gbuffer"] == 6, "no ambient occlusion under a lamp alone"
+    graph.run(gl, renderer.pool, shot, {"radiance", "transmittance", "ao"})
+    assert (drawn["transmission"], drawn["gbuffer"]) == (3, 7)
+
+
+@pytest.mark.parametrize("guard_px", [0, 2, 40])
+def test_the_picture_s_part_of_the_pixels_leaves_out_the_guard_band(gl: Device, guard_px: int):
+    renderer = Renderer(gl, sphere(20.0), pipeline(SMALL, lights=[KEY]))
+    renderer.guard_px = guard_px
+    shot = replace(renderer._shot(renderer.view(0)), scissor=(5, 0, 60, 70))
+    left, low, wide, high = shot.picture_scissor
+    width, height = shot.size
+    edge = max(guard_px - 4, 0)
+    assert (left, low) == (max(5, edge), edge)
+    assert (left + wide, low + high) == (min(65, width - edge), min(70, height - edge))
+    outside = replace(shot, scissor=(0, 0, 1, 1)).picture_scissor
+    assert min(outside[2:]) >= 0
