@@ -36,7 +36,9 @@ def asset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def files_in(folder: Path) -> set[str]:
-    return {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    """Results; the record and the log beside them are another matter."""
+    names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    return {name for name in names if name.split("/")[-1] not in ("record.json", "log.txt")}
 
 
 # --- several scans -------------------------------------------------------------------------------
@@ -181,9 +183,11 @@ def test_a_second_run_that_fails_leaves_no_manifest_to_vouch_for_it(
     def stop(stage: str, fraction: float) -> None:
         raise StageError("the machine went away")
 
+    other = pipeline(TINY.model_dump(mode="json"), skin={"scale": 0})
     with pytest.raises(StageError):
-        run_job(asset, TINY, tmp_path, stop)
+        run_job(asset, other, tmp_path, stop)
     assert not (tmp_path / "manifest.json").exists()
+    assert not (tmp_path / "turntable.mp4").exists(), "it shows other settings"
     assert not [name for name in files_in(tmp_path) if TEMPORARY_PREFIX in name]
 
 
