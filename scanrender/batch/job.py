@@ -121,7 +121,7 @@ class _Run:
         )
         draw_prep_sheet(job.asset)
         self.seconds["prep"] = time.perf_counter() - started
-        record.put("prep", _prepared(job, asset, record, self.seconds["prep"]))
+        record.put(job.prep_stage, _prepared(job, asset, record, self.seconds["prep"]))
         record.save()
         for sentence in asset.info.get("warnings", []):
             self.log.write(f"warning: {sentence}")
@@ -281,12 +281,14 @@ def _prepared(job: Job, asset: Asset, record: Record, seconds: float) -> Stage:
             where = str(job.scan.parent / name)
             raise StageError(f"{name} changed while it was prepared", where, "run it again")
     reads = prep_reads(job.recipe, {name: entry.sha256 for name, entry in inputs.items()})
-    scales = [x.get("notes", {}).get("curvature_scale_mm") for x in asset.info.get("stages", ())]
+    stages = asset.info.get("stages", ())
+    scales = [stage.get("notes", {}).get("curvature_scale_mm") for stage in stages]
     notes = {
         "beside": {k: v for k, v in beside.items() if k != "files"},
         "source": {k: v for k, v in source.items() if k != "beside"},
         "warnings": [str(sentence) for sentence in asset.info.get("warnings", [])],
         "curvature_scale_mm": max((scale for scale in scales if scale), default=None),
+        "peak_mib": max((x.get("peak_memory_mib") or 0 for x in stages), default=0),
         **{name: asset.info.get(name) for name in ("lost", "counts", "units")},
     }
     stage = Stage(digest(reads), reads, inputs=inputs, seconds=seconds, notes=notes)

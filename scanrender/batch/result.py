@@ -51,7 +51,7 @@ def result_of(
     job: Job, records: Records, seconds: Mapping[str, float] | None = None, cached: bool = False
 ) -> Result:
     """The result as the records tell it; `seconds` are those of this run."""
-    prep = records.prep.stages.get("prep") if job.prepares else None
+    prep = records.prep.stages.get(job.prep_stage) if job.prepares else None
     files = ["asset/"] if prep is not None and job.asset.parent == job.folder else []
     files += _own_files(records.job)
     files += [MANIFEST_NAME] if (job.folder / MANIFEST_NAME).exists() else []
@@ -72,7 +72,7 @@ def result_of(
 def manifest(job: Job, records: Records) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """The manifest's document and its list of files: enough to make the same again."""
     result = result_of(job, records)
-    prep = records.prep.stages.get("prep") if job.prepares else None
+    prep = records.prep.stages.get(job.prep_stage) if job.prepares else None
     shown = _stage(records.job, "figure") if job.pipeline.figure.panels else None
     shown = shown or _stage(records.job, "frames")
     document = {

@@ -98,7 +98,7 @@ def look(job: Job, records: Records, trust: Trust | None = None) -> Work:
 
 def prep_reason(job: Job, record: Record, trust: Trust) -> str:
     """Why the scan has to be prepared (again); empty when it has not."""
-    stage = record.stages.get("prep")
+    stage = record.stages.get(job.prep_stage)
     if stage is None:
         return NEVER
     if job.scan.name not in stage.inputs:
@@ -149,7 +149,7 @@ def _look_at_render(job: Job, records: Records, work: Work, trust: Trust) -> Non
 def asset_reads(job: Job, records: Records, verify: bool = False) -> dict[str, Any]:
     """What identifies a prepared scan to whoever renders it: its maps' bytes, not their dates."""
     if job.prepares:
-        stage = records.prep.stages["prep"]
+        stage = records.prep.stages[job.prep_stage]
         names = ["mesh.glb", *(MAPS[name].file for name in keys.RENDERED_MAPS)]
         entries = {name: stage.files.get(f"{job.asset.name}/{name}") for name in names}
         hashes = {name: entry.sha256 for name, entry in entries.items() if entry is not None}

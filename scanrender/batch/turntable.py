@@ -23,7 +23,7 @@ from scanrender.batch.jobs import Job
 from scanrender.batch.record import FileEntry, Record, Stage, read_entry
 from scanrender.batch.state import SHEET, VIDEO, Work
 from scanrender.buffers import Frame, buffer_spec
-from scanrender.errors import DeviceError
+from scanrender.errors import CrashError
 from scanrender.images import read_colors
 from scanrender.outputs.contact_sheet import Tile, contact_sheet
 from scanrender.outputs.exr import write_exr
@@ -212,10 +212,10 @@ def _write_png(folder: Path, name: str, pixels: Bytes) -> list[str]:
 
 
 def _check_device(renderer: Renderer) -> None:
-    """A context that was lost goes on giving pictures: black ones. Raises DeviceError."""
+    """A context that was lost goes on giving pictures: black ones. Raises CrashError."""
     error = renderer.device.context.error
     if error != "GL_NO_ERROR":
-        raise DeviceError(
+        raise CrashError(
             f"the GL driver ({renderer.device.renderer}) failed: {error}",
             fix="run it again; if it persists, update the driver or use a smaller picture",
         )

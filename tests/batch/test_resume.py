@@ -11,15 +11,13 @@ from typing import Any
 import pytest
 from render.synthetic import pipeline, sphere, sphere_mesh
 
-from scanrender.asset import load_asset, save_asset
+from scanrender.asset import save_asset
 from scanrender.batch import job as batch_job
 from scanrender.batch.job import run_job
 from scanrender.batch.jobs import single_job
 from scanrender.batch.record import RECORD_NAME, load_record
-from scanrender.batch.state import Trust, look, records_of
 from scanrender.render.frame import Renderer
 from scanrender.scan import prepare as preparation
-from scanrender.scan.beside import forget
 from scanrender.settings.pipeline import Pipeline
 
 TINY = {
@@ -260,50 +258,18 @@ def test_a_scan_that_is_only_touched_is_not_prepared(work: Path, counted: Counte
     assert counted.since() == (0, [])
 
 
-def test_an_image_that_was_missing_and_comes_is_a_change(tmp_path: Path):
-    """So is one that changes, one that goes, and a second one that makes the guess a question."""
+def test_an_image_that_comes_is_prepared_and_its_frames_are_rendered(work: Path, counted: Counted):
     from PIL import Image
 
-    scan = write_ball(tmp_path / "ball.obj", head="mtllib ball.mtl\nusemtl skin")
-    settings = tiny(stages=["prep"])
-
-    def reason() -> str:
-        job = single_job(scan, settings, tmp_path / "out")
-        forget()
-        return look(job, records_of(job), Trust()).reasons.get("prep", "")
-
-    def color() -> list[float]:
-        run_job(scan, settings, tmp_path / "out", silent)
-        assert reason() == ""
-        return [
-            round(float(x), 2)
-            for x in load_asset(tmp_path / "out" / "asset").maps["albedo"].mean((0, 1))
-        ]
-
-    def write(name: str, rgb: tuple[int, int, int]) -> None:
-        Image.new("RGB", (8, 8), rgb).save(tmp_path / name)
-
-    plain = color()
-    (tmp_path / "ball.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
-    assert "ball.mtl" in reason()
-    color()
-    write("skin.png", (255, 0, 0))
-    assert "skin.png" in reason()
-    red = color()
-    assert red[0] > 0.9
-    assert red != plain
-    write("skin.png", (0, 0, 255))
-    assert "skin.png" in reason()
-    assert color()[2] > 0.9
-    (tmp_path / "skin.png").unlink()
-    assert "skin.png" in reason()
-    color()
-    write("photo.png", (0, 255, 0))
-    assert "photo.png" in reason()
-    assert color()[1] > 0.9
-    write("second.png", (9, 9, 9))
-    assert "gone" in reason()
-    assert color() == plain
+    Image.new("RGB", (8, 8), (255, 0, 0)).save(work / "photo.png")
+    run_job(work / "ball.obj", tiny(), work / "out", silent)
+    assert counted.since() == (1, [0, 1, 2, 3])
+    manifest = json.loads((work / "out" / "manifest.json").read_text())
+    assert len(manifest["source"]["beside"]["photo.png"]) == 64
+    Image.new("RGB", (8, 8), (0, 0, 255)).save(work / "photo.png")
+    run_job(work / "ball.obj", tiny(), work / "out", silent)
+    assert counted.since() == (1, [0, 1, 2, 3])
+    assert run_job(work / "ball.obj", tiny(), work / "out", silent).cached
 
 
 # --- interrupted ---------------------------------------------------------------------------------

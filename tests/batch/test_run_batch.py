@@ -9,12 +9,12 @@ import pytest
 from render.synthetic import pipeline, sphere
 
 from scanrender.asset import save_asset
-from scanrender.batch import run as batch_run
+from scanrender.batch import job as batch_job
 from scanrender.batch.job import Result, run_job
+from scanrender.batch.jobs import Job
 from scanrender.batch.run import run_batch
 from scanrender.errors import BatchError, OutputError, ScanError, StageError, UsageError
 from scanrender.files import TEMPORARY_PREFIX, check_writable
-from scanrender.settings.pipeline import Pipeline
 
 TINY = pipeline(
     stages=["render"],
@@ -47,13 +47,13 @@ def files_in(folder: Path) -> set[str]:
 def fake_jobs(monkeypatch: pytest.MonkeyPatch, failing: dict[str, Exception]) -> list[Path]:
     folders = []
 
-    def job(scan: Path, settings: Pipeline, folder: Path, progress, frames) -> Result:
-        folders.append(folder)
-        if scan.name in failing:
-            raise failing[scan.name]
-        return Result(scan.stem, folder)
+    def do(job: Job, progress, verify: bool) -> Result:
+        folders.append(job.folder)
+        if job.scan.name in failing:
+            raise failing[job.scan.name]
+        return Result(job.scan.stem, job.folder)
 
-    monkeypatch.setattr(batch_run, "run_job", job)
+    monkeypatch.setattr(batch_job, "do_job", do)
     return folders
 
 
@@ -66,7 +66,7 @@ def test_the_others_complete(monkeypatch: pytest.MonkeyPatch, error: Exception):
     said: list[str] = []
     batch = run_batch(SCANS, TINY, Path("out"), silent, said.append)
     assert [result.name for result in batch.results] == ["a", "c"]
-    assert [path.name for path, _ in batch.failures] == ["b.obj"]
+    assert [failure.job.scan.name for failure in batch.failures] == ["b.obj"]
     assert folders == [Path("out/a"), Path("out/b"), Path("out/c")]
     with pytest.raises(BatchError, match="1 of 3") as caught:
         batch.raise_if_failed()
