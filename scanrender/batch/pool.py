@@ -34,6 +34,7 @@ from scanrender.scan.parallel import THREADS
 
 STOP_S = 5.0  # for a worker to remove what it has half-written
 TICK_S = 0.5
+START_S = 120.0
 
 Event = Callable[[Job, str, float], None]
 
@@ -137,7 +138,8 @@ class Pool:
         worker = next((w for w in self.workers if w.task is None), None) or self._start()
         task.tries += 1
         worker.task, worker.stage, worker.began = task, task.only or "start", time.monotonic()
-        worker.deadline = worker.began + self._patience(task)
+        # Until the first sign of life Python starts and libraries load, from a busy disk perhaps.
+        worker.deadline = worker.began + max(START_S, self._patience(task))
         line = json.dumps(as_task(task.job, task.only, self.options.verify)) + "\n"
         assert worker.process.stdin is not None
         with contextlib.suppress(OSError):  # it is dead already: listening will tell

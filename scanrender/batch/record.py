@@ -24,6 +24,7 @@ from scanrender.files import write_text
 
 RECORD_NAME = "record.json"
 FORMAT = 1
+DAMAGED = "damaged"  # a key that nothing has
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,13 @@ class Stage:
                 found.setdefault(entry.part, []).append(name)
         return found
 
+    def forget(self, names: Iterable[str]) -> None:
+        """Files that are not there any more. A stage is whole or not, but for frames."""
+        for name in list(names):
+            entry = self.files.pop(name, None)
+            if entry is None or entry.part is None:
+                self.key = DAMAGED
+
 
 @dataclass
 class Record:
@@ -129,8 +137,8 @@ class Record:
             entry = stage.files.get(name)
             now = None if entry is None else checked(self.folder / name, entry, verify)
             if now is None:
-                for each in names:
-                    self.changed |= stage.files.pop(each, None) is not None
+                stage.forget(names)
+                self.changed = True
                 return name
             stage.files[name] = now
             self.changed |= now is not entry

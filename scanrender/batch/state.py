@@ -272,6 +272,16 @@ def _reason(record: Record, work: Work, name: str, files: list[str], verify: boo
 def _why(stage: Stage | None, reads: Mapping[str, Any]) -> str:
     if stage is None:
         return NEVER
-    found = differences(stage.reads, reads)
-    shown = "; ".join(found[:3]) or "it was interrupted"
+    found = [_in_words(text) for text in differences(stage.reads, reads)]
+    shown = "; ".join(found[:3]) or "a file of it is missing or not what was written"
     return shown if len(found) <= 3 else f"{shown}; and {len(found) - 3} more"
+
+
+def _in_words(difference: str) -> str:
+    """Digests say that something changed, and what they are of."""
+    name = difference.partition(":")[0]
+    return {
+        "frames": "its frames change",
+        "code": "scanrender's code for it changed",
+        "render": "scanrender's code for rendering changed",
+    }.get(name, difference)

@@ -88,6 +88,7 @@ def _do(task: dict[str, Any], protocol: IO[str]) -> None:
     def progress(stage: str, fraction: float) -> None:
         tell({"stage": stage, "fraction": round(fraction, 4)})
 
+    progress("start", 0.0)
     job = Job(
         Path(task["scan"]),
         task["name"],

@@ -12,7 +12,7 @@ import click
 
 KINDS = ("auto", "plain", "json", "openjd", "none")
 Progress = Callable[[str, float], None]
-# (name of the job, stage, fraction in [0, 1]); a job ends with the stage `done`, `failed` or `cached`.
+# (name of the job, stage, fraction in [0, 1]); its last stage is `done`, `failed` or `cached`.
 BatchProgress = Callable[[str, str, float], None]
 
 # Plain lines at most this often, so that a log of a night stays readable.
