@@ -5,6 +5,7 @@
     ├── ConfigError       3   a YAML file or a --set is wrong
     ├── ScanError         4   this scan cannot be used
     ├── StageError        5   a stage failed, crashed, timed out, or made non-finite pixels
+    │   └── CrashError    5   its process died: a batch tries once more
     ├── DeviceError       6   no usable GL
     ├── OutputError       7   the output cannot be written
     └── BatchError        8   several jobs, and some of them failed
@@ -50,6 +51,11 @@ class ScanError(ScanrenderError):
 
 class StageError(ScanrenderError):
     exit_code = 5
+
+
+class CrashError(StageError):
+    """A process died, hung or lost its GPU: nothing is known to be wrong with the scan, and another
+    try may succeed."""
 
 
 class DeviceError(ScanrenderError):

@@ -117,8 +117,8 @@ def clean_stale(folder: Path, prefix: str = TEMPORARY_PREFIX) -> None:
     """
     with suppress(OSError):
         for path in folder.iterdir():
-            owner = _OWNED.match(path.name) if path.name.startswith(prefix) else None
-            if owner is None or owner[1] != _machine() or _is_alive(int(owner[2])):
+            owner = _stale_owner(path, prefix)
+            if owner is None:
                 continue
             with suppress(OSError):
                 if path.is_symlink():
@@ -129,6 +129,18 @@ def clean_stale(folder: Path, prefix: str = TEMPORARY_PREFIX) -> None:
                     shutil.rmtree(path, ignore_errors=True)
                 else:
                     path.unlink()
+
+
+def is_stale(path: Path, prefix: str = TEMPORARY_PREFIX) -> bool:
+    """Whether a killed process of this machine left the path half-written."""
+    return _stale_owner(path, prefix) is not None
+
+
+def _stale_owner(path: Path, prefix: str) -> re.Match[str] | None:
+    owner = _OWNED.match(path.name) if path.name.startswith(prefix) else None
+    if owner is None or owner[1] != _machine() or _is_alive(int(owner[2])):
+        return None
+    return owner
 
 
 def _owned(prefix: str) -> str:

@@ -91,7 +91,7 @@ def _unit(node: Schema) -> str:
     return "none" if unit == "1" else unit
 
 
-TYPES = {"string": "text", "boolean": "`true` or `false`"}
+TYPES = {"string": "text", "boolean": "`true` or `false`", "object": "mapping"}
 PLURALS = {"integer": "integers", "number": "numbers", "text": "words"}
 
 
@@ -120,7 +120,7 @@ def _default(node: Schema) -> str:
     if "default" not in node:
         return "must be given" if "unit" in node else ""
     value = node["default"]
-    if value is None or value in ("", []):
+    if value is None or value in ("", [], {}):
         return "none"
     if isinstance(value, list) and isinstance(value[0], dict):
         return f"{len(value)} of them"

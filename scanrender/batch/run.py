@@ -1,25 +1,46 @@
-"""Several jobs: each scan in its own folder, failures collected, one summary."""
+"""Several jobs: what is done already is left alone, the rest is done here or by workers, failures
+are collected, one summary is written."""
 
 from __future__ import annotations
 
-from collections import Counter
+import contextlib
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from scanrender.batch.identity import scan_ids
-from scanrender.batch.job import Result, run_job
-from scanrender.batch.turntable import Progress
-from scanrender.errors import BatchError, ScanrenderError, UsageError
+from scanrender.batch.jobs import Job, make_jobs
+from scanrender.batch.lock import locked
+from scanrender.batch.memory import prep_mib, render_mib
+from scanrender.batch.result import Result, result_of
+from scanrender.batch.state import Records, Trust, Work, look, records_of
+from scanrender.batch.summary import SUMMARY_NAME, Failure, write_summary
+from scanrender.errors import BatchError, OutputError, ScanrenderError
+from scanrender.scan.beside import forget
 from scanrender.settings.pipeline import Pipeline
+
+Progress = Callable[[str, float], None]
+Show = Callable[[Job, str, float], None]
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Options:
+    """`workers` processes, or 0 to do everything in this one. Without `verify` sizes and times are
+    believed; `retries` and `timeout_s` are for workers (`pool.PoolOptions`)."""
+
+    workers: int = 0
+    verify: bool = False
+    retries: int = 2
+    timeout_s: float = 3600.0
 
 
 @dataclass
 class Batch:
-    """Results in the order of the scans, and (scan, error) of those that failed."""
+    """Results in the order of the jobs, and those that failed."""
 
     results: list[Result] = field(default_factory=list)
-    failures: list[tuple[Path, ScanrenderError]] = field(default_factory=list)
+    failures: list[Failure] = field(default_factory=list)
 
     def raise_if_failed(self) -> None:
         """One job ends with its own error, several with BatchError (exit code 8)."""
@@ -27,8 +48,8 @@ class Batch:
             return
         total = len(self.results) + len(self.failures)
         if total == 1:
-            raise self.failures[0][1]
-        failed = ", ".join(f"{path.name} ({error.what})" for path, error in self.failures)
+            raise self.failures[0].error
+        failed = ", ".join(f"{x.job.scan.name} ({x.error.what})" for x in self.failures)
         raise BatchError(
             f"{len(self.failures)} of {total} scans failed",
             where=failed,
@@ -36,38 +57,166 @@ class Batch:
         )
 
 
+@dataclass
+class Todo:
+    """A job that is not done, what of it is not, and memory that its preparation may take."""
+
+    job: Job
+    work: Work
+    prep_mib: int
+
+
 def run_batch(
     scans: Sequence[Path],
     pipeline: Pipeline,
     out: Path,
     progress: Progress,
-    say: Callable[[str], None],
+    say: Say,
     frames: Sequence[int] | None = None,
 ) -> Batch:
-    """Run every scan; a scan that fails is told and left behind.
+    """Run every scan in this process; a scan that fails is told and left behind.
 
     Raises UsageError when a scan is named twice; nothing else that a single scan can cause.
     """
-    twice = [path for path, count in Counter(scan.resolve() for scan in scans).items() if count > 1]
-    if twice:
-        raise UsageError(f"the same scan is named twice: {twice[0]}")
-    batch = Batch()
-    for number, (scan, name) in enumerate(zip(scans, scan_ids(scans), strict=True)):
-        folder = out if len(scans) == 1 else out / name
-        if len(scans) > 1:
-            say(f"scan {number + 1} of {len(scans)}: {scan.name}")
+    jobs = make_jobs(scans, pipeline, "the pipeline", out, frames)
+    return run_jobs(jobs, out, lambda _, stage, fraction: progress(stage, fraction), say)
+
+
+def run_jobs(
+    jobs: Sequence[Job], out: Path, show: Show, say: Say, options: Options | None = None
+) -> Batch:
+    """Do what is not done of the jobs, whose folders lie in `out`. A job that fails is told and
+    left behind. Raises OutputError when another run works in `out`."""
+    options, started = options or Options(), time.perf_counter()
+    found, todo = sort_out(jobs, options.verify)
+    if len(jobs) > 1:
+        for job in jobs:
+            if isinstance(found.get(id(job)), Result):
+                show(job, "cached", 1.0)
+    if todo:
+        if options.workers:
+            with locked(_made(out)):
+                _run_by_workers(todo, found, show, say, options)
+        else:
+            _run_here(todo, found, show, say, options, len(jobs) == 1)
+    batch = Batch(
+        [found[id(job)] for job in jobs if isinstance(found[id(job)], Result)],  # type: ignore[misc]
+        [found[id(job)] for job in jobs if isinstance(found[id(job)], Failure)],  # type: ignore[misc]
+    )
+    if len(jobs) > 1 and (todo or not (out / SUMMARY_NAME).exists()) and out.is_dir():
+        write_summary(out, jobs, found, time.perf_counter() - started)
+    return batch
+
+
+def sort_out(
+    jobs: Sequence[Job],
+    verify: bool = False,
+    seen: Callable[[Job, Records], None] = lambda job, records: None,
+) -> tuple[dict[int, Result | Failure], list[Todo]]:
+    """What is complete, or cannot be, by the job's id(); and what is to be done. `seen` gets every
+    job's records: they are too large to keep those of thousands."""
+    forget()
+    found: dict[int, Result | Failure] = {}
+    todo: list[Todo] = []
+    for job in jobs:
         try:
-            batch.results.append(run_job(scan, pipeline, folder, progress, frames))
+            records = records_of(job)
+            work = look(job, records, Trust(verify))
+            seen(job, records)
         except ScanrenderError as error:
-            batch.failures.append((scan, error))
+            found[id(job)] = Failure(job, error)
+            continue
+        if work.reasons:
+            need = prep_mib(job, records.prep) if "prep" in work.reasons else 0
+            todo.append(Todo(job, work, need))
+            continue
+        with contextlib.suppress(OutputError):
+            records.save()
+        found[id(job)] = result_of(job, records, cached=True)
+    return found, todo
+
+
+def _made(out: Path) -> Path:
+    from scanrender.files import check_writable
+
+    check_writable(out)
+    return out
+
+
+def _run_here(
+    todo: Sequence[Todo],
+    found: dict[int, Result | Failure],
+    show: Show,
+    say: Say,
+    options: Options,
+    alone: bool,
+) -> None:
+    from scanrender.batch.job import do_job
+
+    for number, job in enumerate((item.job for item in todo), 1):
+        if not alone:
+            say(f"scan {number} of {len(todo)}: {job.scan.name} {job.variant}".rstrip())
+
+        def progress(stage: str, fraction: float, job: Job = job) -> None:
+            show(job, stage, fraction)
+
+        started = time.perf_counter()
+        try:
+            found[id(job)] = do_job(job, progress, options.verify)
+            continue
+        except ScanrenderError as error:
+            failure: ScanrenderError = error
         except Exception as error:
-            if len(scans) == 1:
+            if alone:
                 raise
             # A bug that one scan brings to light must not cost the others either.
             what = f"this is a bug in scanrender: {type(error).__name__}: {error}"
-            batch.failures.append((scan, ScanrenderError(what, str(scan), "run it alone, --debug")))
-        else:
-            continue
-        if len(scans) > 1:
-            say(str(batch.failures[-1][1]))
-    return batch
+            failure = ScanrenderError(what, str(job.scan), "run it alone, --debug")
+        found[id(job)] = Failure(job, failure, time.perf_counter() - started)
+        if not alone:
+            say(str(failure))
+
+
+def _run_by_workers(
+    todo: Sequence[Todo], found: dict[int, Result | Failure], show: Show, say: Say, options: Options
+) -> None:
+    from scanrender.batch.pool import Pool, PoolOptions, Task
+
+    tasks: list[Task] = []
+    prepared: dict[Path, Task] = {}
+    for item in todo:
+        job, first = item.job, None
+        if "prep" in item.work.reasons:
+            if job.asset not in prepared:
+                need = max(item.prep_mib, render_mib(job))
+                prepared[job.asset] = Task(job, "prep", mib=need)
+                tasks.append(prepared[job.asset])
+            first = prepared[job.asset]
+        tasks.append(Task(job, after=first, mib=render_mib(job)))
+
+    def ended(task: Task) -> None:
+        if task.error is not None:
+            if task.only is None:
+                found[id(task.job)] = Failure(task.job, task.error, task.seconds)
+                say(f"{task.job.label}: {task.error}")
+                show(task.job, "failed", 1.0)
+        elif task.only is None:
+            found[id(task.job)] = _result(task, prepared.get(task.job.asset))
+            show(task.job, "done", 1.0)
+
+    shares = PoolOptions(
+        min(options.workers, len(tasks)), options.verify, options.retries, options.timeout_s
+    )
+    Pool(shares, show, say, ended).run(tasks)
+
+
+def _result(task: object, prepared: object) -> Result:
+    """A worker's result; seconds of the preparation are those of the one that many may share."""
+    from scanrender.batch.pool import Task
+
+    assert isinstance(task, Task)
+    result = Result(**{**task.result, "folder": Path(task.result["folder"])})
+    if isinstance(prepared, Task) and prepared.job is task.job:
+        result.stages = {**prepared.result.get("stages", {}), **result.stages}
+        result.cached = False
+    return result

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,15 +19,18 @@ LEAST_FRAMES = 24
 
 @dataclass(frozen=True)
 class PreparedShot:
-    """A renderer, what it does not run and why, and what was chosen and measured for that."""
+    """A renderer, the settings it was made with, what it does not run and why, and what was chosen
+    and measured for that."""
 
     renderer: Renderer
+    pipeline: Pipeline
     not_run: list[str]
     choice: Choice | None = None
     measured: dict[str, Any] = field(default_factory=dict)
 
-    def outcome(self, frame_ms: Sequence[float]) -> dict[str, Any]:
-        """What was picked, what was predicted of it, and what its frames took."""
+    @property
+    def predicted(self) -> dict[str, Any]:
+        """What was picked, and what is predicted of it; nothing where nothing was asked for."""
         if self.choice is None:
             return {}
         return {
@@ -36,7 +38,6 @@ class PreparedShot:
             "satisfies": self.choice.satisfies,
             "predicted_delta_e": round(self.choice.delta_e, 3),
             "predicted_ms": round(self.choice.frame_ms, 1),
-            "measured_ms": round(statistics.median(frame_ms), 1) if frame_ms else None,
         }
 
 
@@ -51,18 +52,19 @@ def prepare_shot(
     `quality.tolerance_delta_e`, and frames enough to pay for it, a measured plan decides what of
     that is left out."""
     choice = choose(device, asset, pipeline, frames, say)
-    renderer = Renderer(device, asset, pipeline if choice is None else choice.pipeline)
+    chosen = pipeline if choice is None else choice.pipeline
+    renderer = Renderer(device, asset, chosen)
     not_run = [f"{d.what}: {d.reason}" for d in renderer.decisions]
     tolerance = pipeline.quality.tolerance_delta_e
     if tolerance is None:
-        return PreparedShot(renderer, not_run, choice)
+        return PreparedShot(renderer, chosen, not_run, choice)
     if len(frames) < LEAST_FRAMES:
         few = f"measured plan: {len(frames)} frames take less time than it, {LEAST_FRAMES} pay"
-        return PreparedShot(renderer, [*not_run, few], choice)
+        return PreparedShot(renderer, chosen, [*not_run, few], choice)
     found = measure_plan(renderer, frames, tolerance, say)
     planned = Renderer(device, asset, found.pipeline, renderer)
     left_out = [f"{f.what}: {f.sentence}" for f in found.findings if f.is_left_out]
-    return PreparedShot(planned, [*not_run, *left_out], choice, as_data(found))
+    return PreparedShot(planned, found.pipeline, [*not_run, *left_out], choice, as_data(found))
 
 
 def as_data(plan: MeasuredPlan) -> dict[str, Any]:

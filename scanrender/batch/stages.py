@@ -8,6 +8,8 @@ from scanrender.asset import is_asset
 from scanrender.errors import UsageError
 from scanrender.settings.pipeline import Pipeline
 
+__all__ = ["is_asset", "stages_for"]
+
 
 def stages_for(scan: Path, pipeline: Pipeline) -> list[str]:
     """What is to do for this scan. Raises UsageError when that is nothing."""

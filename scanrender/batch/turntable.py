@@ -1,10 +1,17 @@
-"""Frames of one asset to files: video, PNGs, contact sheet, buffers with their pictures."""
+"""Frames of one asset to files: video, PNGs, contact sheet, buffers with their pictures.
+
+Rendering, encoding and writing overlap: files are written by threads of their own, at most
+`IN_FLIGHT` frames behind. Video and sheet are made of the 8-bit pixels of the PNGs, so that a run
+that was interrupted, and finds half of its frames, makes the same ones.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,28 +19,25 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from scanrender.batch.jobs import Job
+from scanrender.batch.record import FileEntry, Record, Stage, read_entry
+from scanrender.batch.state import SHEET, VIDEO, Work
 from scanrender.buffers import Frame, buffer_spec
+from scanrender.errors import CrashError
+from scanrender.images import read_colors
 from scanrender.outputs.contact_sheet import Tile, contact_sheet
 from scanrender.outputs.exr import write_exr
 from scanrender.outputs.falsecolour import false_colour_png
-from scanrender.outputs.png import write_frame_png
+from scanrender.outputs.png import bytes_from_unit, write_bytes_png
 from scanrender.outputs.video import VideoWriter
 from scanrender.render.frame import Renderer
 
 Progress = Callable[[str, float], None]
+Bytes = npt.NDArray[np.uint8]
 
-
-@dataclass
-class Written:
-    """What a turntable left behind: files relative to the folder, seconds per kind of work, and
-    milliseconds of each frame that was only shown."""
-
-    files: list[str] = field(default_factory=list)
-    seconds: dict[str, float] = field(default_factory=dict)
-    frame_ms: list[float] = field(default_factory=list)
-
-    def add_time(self, name: str, started: float) -> None:
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started
+IN_FLIGHT = 4
+WRITERS = 2
+SAVE_EVERY_S = 1.0  # what a killed run has to do again
 
 
 def buffer_names(renderer: Renderer, asked: Sequence[str]) -> list[str]:
@@ -45,69 +49,176 @@ def buffer_names(renderer: Renderer, asked: Sequence[str]) -> list[str]:
     return list(asked)
 
 
-def write_turntable(
-    renderer: Renderer,
-    folder: Path,
-    title: str,
-    progress: Progress,
-    frames: Sequence[int] | None = None,
-) -> Written:
-    """Render `frames` (default: all) and write what `outputs:` asks for.
+@dataclass
+class Turntable:
+    """Makes what `work` names. `frames` is the record's stage of the frames; its notes say what a
+    sheet repeats, so that one can be made from frames that are there already.
 
-    A part of the turn, as render farms ask for, is written as PNG frames: a video or contact sheet
-    of a part would pass for the whole. Each file appears complete or not at all.
+    `renderer` is asked for only when something has to be rendered.
     """
-    pipeline = renderer.pipeline
-    outputs = pipeline.outputs
-    whole = frames is None
-    indices = list(range(pipeline.turntable.frames)) if frames is None else list(frames)
-    contact = _spread(indices, outputs.contact_frames) if whole and outputs.contact_sheet else set()
-    dumped = buffer_names(renderer, outputs.buffers)
-    tiles: list[Tile] = []
-    written = Written()
-    with contextlib.ExitStack() as stack:
-        video = None
-        if whole and outputs.video:
-            width, height = renderer.camera.size_px
-            video = stack.enter_context(
-                VideoWriter(folder / "turntable.mp4", width, height, pipeline.turntable.fps)
-            )
-            written.files.append("turntable.mp4")
-        for done, index in enumerate(indices):
-            buffers = dumped if index in outputs.buffer_frames else []
+
+    job: Job
+    record: Record
+    work: Work
+    frames: Stage
+    renderer: Callable[[], Renderer]
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def write(self, progress: Progress) -> None:
+        """Each file appears complete or not at all, and is in the record once it is there.
+
+        A part of the turn, as render farms ask for, is written as PNG frames: a video or contact
+        sheet of a part would pass for the whole.
+        """
+        job, work = self.job, self.work
+        shown = set(job.indices) if "video" in work.reasons else set()
+        tiled = set(job.sheet_frames) if "sheet" in work.reasons else set()
+        order = sorted({*work.render, *work.dump, *shown, *tiled})
+        tiles: list[Tile] = []
+        with contextlib.ExitStack() as stack:
+            writing = stack.enter_context(_Writing(self.record))
+            video = self._video(stack) if shown else None
+            encoder = stack.enter_context(ThreadPoolExecutor(1))
+            for done, index in enumerate(order):
+                pixels = self._pixels(index, writing)
+                started = time.perf_counter()
+                if video is not None:
+                    writing.add(encoder.submit(video.write, pixels))
+                if index in tiled:
+                    tiles.append(Tile(angle_label(job, index), _small(pixels)))
+                self._add_time("write", started)
+                progress("render", (done + 1) / len(order))
+        if video is not None:
+            self._made("video", [VIDEO])
+        if tiles:
             started = time.perf_counter()
-            frame = renderer.render(renderer.view(index), buffers)
-            written.add_time("render", started)
-            if not buffers:
-                written.frame_ms.append(1e3 * (time.perf_counter() - started))
-            started = time.perf_counter()
-            if video is not None:
-                video.write(frame.buffers["display"])
-            if outputs.frames or not whole:
-                name = f"frames/frame_{index:04d}.png"
-                write_frame_png(folder / name, frame)
-                written.files.append(name)
-            if buffers:
-                written.files += write_buffers(
-                    folder, frame, index, outputs.exr_layout, buffers, outputs.false_colour
-                )
-            if index in contact:
-                tiles.append(Tile(_angle_label(renderer, index), _small(frame)))
-            written.add_time("write", started)
-            progress("render", (done + 1) / len(indices))
-    if tiles:
+            self._write_sheet(tiles)
+            self._add_time("write", started)
+
+    def _pixels(self, index: int, writing: _Writing) -> Bytes:
+        """Frame `index`, rendered and on its way to its files, or as an earlier run left it."""
+        job, work = self.job, self.work
+        name = job.frame_file(index)
+        dumps = index in work.dump
+        if index not in work.render and not dumps:
+            return np.ascontiguousarray(read_colors(job.folder / name), np.uint8)
+        renderer = self.renderer()
+        names = buffer_names(renderer, job.pipeline.outputs.buffers) if dumps else []
         started = time.perf_counter()
+        frame = renderer.render(renderer.view(index), names)
+        _check_device(renderer)
+        self._add_time("render", started)
+        if not dumps:
+            times = self.frames.notes.setdefault("ms", {})
+            times[str(index)] = round(1e3 * (time.perf_counter() - started), 1)
+        started = time.perf_counter()
+        pixels = bytes_from_unit(frame.buffers["display"])
+        if index in work.render:
+            writing.write(self.frames, index, lambda: _write_png(job.folder, name, pixels))
+        if dumps:
+            stage = self.record.stages["buffers"]
+            writing.write(stage, index, lambda: self._write_buffers(frame, index, names))
+        self._add_time("write", started)
+        return pixels
+
+    def _write_buffers(self, frame: Frame, index: int, names: Sequence[str]) -> list[str]:
+        outputs = self.job.pipeline.outputs
+        return write_buffers(
+            self.job.folder, frame, index, outputs.exr_layout, names, outputs.false_colour
+        )
+
+    def _video(self, stack: contextlib.ExitStack) -> VideoWriter:
+        camera, fps = self.job.pipeline.camera, self.job.pipeline.turntable.fps
+        path = self.job.folder / VIDEO
+        return stack.enter_context(VideoWriter(path, camera.width_px, camera.height_px, fps))
+
+    def _write_sheet(self, tiles: list[Tile]) -> None:
+        notes = self.frames.notes
         contact_sheet(
-            folder / "contact_sheet.png",
+            self.job.folder / SHEET,
             tiles,
             columns=_columns(len(tiles)),
-            title=title,
-            subtitle=_subtitle(renderer),
-            footer=renderer.device.renderer,
+            title=notes["title"],
+            subtitle=notes["subtitle"],
+            footer=notes["gl"]["renderer"],
         )
-        written.files.append("contact_sheet.png")
-        written.add_time("write", started)
-    return written
+        self._made("sheet", [SHEET])
+
+    def _made(self, name: str, files: Sequence[str]) -> None:
+        stage = self.record.put(name, Stage(self.work.key(name), self.work.reads[name]))
+        for file in files:
+            self.record.add(stage, file)
+        self.record.save()
+
+    def _add_time(self, name: str, started: float) -> None:
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started
+
+
+class _Writing:
+    """Files on their way: at most IN_FLIGHT frames, noted in the record as they are complete.
+
+    On the way out everything that was begun is finished and noted, also after an error.
+    """
+
+    def __init__(self, record: Record) -> None:
+        self.record = record
+        self._pool = ThreadPoolExecutor(WRITERS)
+        self._waiting: deque[Future[Any]] = deque()
+        self._saved = time.monotonic()
+
+    def __enter__(self) -> _Writing:
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        try:
+            while self._waiting:
+                try:
+                    self._finish(self._waiting.popleft())
+                except Exception:
+                    if kind is None:  # otherwise the first error is the one to tell
+                        raise
+        finally:
+            self._pool.shutdown()
+            self.record.save()
+
+    def write(self, stage: Stage, part: int, make: Callable[[], list[str]]) -> None:
+        """Call `make`, which writes files and returns their names, in a thread."""
+        folder = self.record.folder
+
+        def written() -> tuple[Stage, dict[str, FileEntry]]:
+            return stage, {name: read_entry(folder / name, part) for name in make()}
+
+        self.add(self._pool.submit(written))
+
+    def add(self, future: Future[Any]) -> None:
+        self._waiting.append(future)
+        while len(self._waiting) > IN_FLIGHT or (self._waiting and self._waiting[0].done()):
+            self._finish(self._waiting.popleft())
+        if time.monotonic() - self._saved > SAVE_EVERY_S:
+            self.record.save()
+            self._saved = time.monotonic()
+
+    def _finish(self, future: Future[Any]) -> None:
+        result = future.result()
+        if result is not None:
+            stage, entries = result
+            stage.files.update(entries)
+            self.record.changed = True
+
+
+def _write_png(folder: Path, name: str, pixels: Bytes) -> list[str]:
+    write_bytes_png(folder / name, pixels)
+    return [name]
+
+
+def _check_device(renderer: Renderer) -> None:
+    """A context that was lost goes on giving pictures: black ones. Raises CrashError."""
+    error = renderer.device.context.error
+    if error != "GL_NO_ERROR":
+        raise CrashError(
+            f"the GL driver ({renderer.device.renderer}) failed: {error}",
+            fix="run it again; if it persists, update the driver or use a smaller picture",
+        )
 
 
 def write_buffers(
@@ -134,32 +245,14 @@ def write_buffers(
     return [str(path.relative_to(folder)) for path in files]
 
 
-def _spread(indices: Sequence[int], count: int) -> set[int]:
-    """`count` of `indices`, evenly spread over a closed turn (the last is not the first again)."""
-    count = min(count, len(indices))
-    return {indices[int(i * len(indices) / count)] for i in range(count)}
-
-
-def _angle_label(renderer: Renderer, index: int) -> str:
-    turntable = renderer.pipeline.turntable
+def angle_label(job: Job, index: int) -> str:
+    turntable = job.pipeline.turntable
     angle = turntable.start_deg + turntable.degrees * index / turntable.frames
     return f"{angle:.0f}°  frame {index}"
 
 
-def _small(frame: Frame) -> npt.NDArray[np.float32]:
-    """The display picture, box-reduced to at most about 540 px high for the contact sheet."""
-    pixels = frame.buffers["display"]
-    step = max(1, pixels.shape[0] // 540)
-    height, width = (side - side % step for side in pixels.shape[:2])
-    blocks = pixels[:height, :width].reshape(height // step, step, width // step, step, 3)
-    return np.ascontiguousarray(blocks.mean(axis=(1, 3)))
-
-
-def _columns(count: int) -> int:
-    return count if count <= 4 else (4 if count <= 12 else 6)
-
-
-def _subtitle(renderer: Renderer) -> str:
+def subtitle(renderer: Renderer) -> str:
+    """What a sheet's pictures were made with."""
     pipeline = renderer.pipeline
     width, height = renderer.camera.size_px
     method = pipeline.diffusion.method.replace("_", " ")
@@ -170,3 +263,15 @@ def _subtitle(renderer: Renderer) -> str:
         f"{len(renderer.scene.asset.mesh.faces):,} triangles",
     ]
     return "  ·  ".join(str(part) for part in parts)
+
+
+def _small(pixels: Bytes) -> npt.NDArray[np.float32]:
+    """The picture, box-reduced to at most about 540 px high for the contact sheet."""
+    step = max(1, pixels.shape[0] // 540)
+    height, width = (side - side % step for side in pixels.shape[:2])
+    blocks = pixels[:height, :width].reshape(height // step, step, width // step, step, 3)
+    return np.ascontiguousarray(blocks.mean(axis=(1, 3), dtype=np.float32) / np.float32(255.0))
+
+
+def _columns(count: int) -> int:
+    return count if count <= 4 else (4 if count <= 12 else 6)

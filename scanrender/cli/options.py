@@ -59,6 +59,17 @@ def as_json(command: F) -> F:
     )(command)
 
 
+def jobs(command: F) -> F:
+    return click.option(
+        "--jobs",
+        default=1,
+        show_default=True,
+        type=click.IntRange(1, 256),
+        help="Scans worked on at the same time, each by a process of its own; they share the "
+        "cores, and never are more than memory holds.",
+    )(command)
+
+
 def out(default: str) -> Callable[[F], F]:
     return click.option(
         "--out",

@@ -6,7 +6,7 @@ import hashlib
 import os
 import platform
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -18,14 +18,19 @@ from scanrender.files import TEMPORARY_PREFIX, write_json
 MANIFEST_NAME = "manifest.json"
 
 
-def write_manifest(folder: Path | str, document: Mapping[str, Any]) -> Path:
-    """Write `folder`/manifest.json: `document` plus `files`, the entries of what lies there now.
+def write_manifest(
+    folder: Path | str,
+    document: Mapping[str, Any],
+    files: Sequence[Mapping[str, Any]] | None = None,
+) -> Path:
+    """Write `folder`/manifest.json: `document` plus `files`, by default what lies there now.
 
     Call it last, after everything else was written and verified: a folder without a manifest is
     unfinished. Raises OutputError; ValueError for NaN or Inf in `document` (JSON has no such word).
     """
     folder = Path(folder)
-    return write_json(folder / MANIFEST_NAME, {**document, "files": file_entries(folder)})
+    entries = file_entries(folder) if files is None else list(files)
+    return write_json(folder / MANIFEST_NAME, {**document, "files": entries})
 
 
 def hash_file(path: Path | str) -> str:

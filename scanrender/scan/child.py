@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
 from scanrender import errors
-from scanrender.errors import ScanrenderError, StageError
+from scanrender.errors import CrashError, ScanrenderError, StageError
 from scanrender.files import scratch_folder
 from scanrender.scan.copied import Copy
 
@@ -256,11 +256,11 @@ def _crash(code: int, stage: str, tail: str) -> StageError:
     """A child's exit code as a sentence. Negative codes are POSIX signals."""
     if code == -signal.SIGKILL:
         what = f"the stage '{stage}' was killed, most likely because memory ran out"
-        return StageError(what, fix="lower prep.simplify.triangles, or use a larger machine")
+        return CrashError(what, fix="lower prep.simplify.triangles, or use a larger machine")
     if code < 0:
         with contextlib.suppress(ValueError):
             name = signal.Signals(-code).name
-            return StageError(f"the stage '{stage}' crashed ({name})", where=tail or None)
+            return CrashError(f"the stage '{stage}' crashed ({name})", where=tail or None)
     return StageError(f"the stage '{stage}' failed with exit code {code}", where=tail or None)
 
 

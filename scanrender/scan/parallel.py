@@ -16,6 +16,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
@@ -24,6 +25,7 @@ import numpy.typing as npt
 Array = npt.NDArray[Any]
 Shape = tuple[tuple[int, ...], Any]  # of one row, and the dtype
 T = TypeVar("T")
+THREADS = "SCANRENDER_THREADS"  # environment variable: cores that this process may use
 MAX_WORKERS = 8  # each has its own temporary arrays
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
@@ -33,6 +35,8 @@ def workers() -> int:
     if not hasattr(os, "fork"):
         return 1
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    with suppress(ValueError):  # what a batch of several workers leaves to each of them
+        cores = min(cores or 1, int(os.environ.get(THREADS, "")))
     return max(1, min(cores or 1, MAX_WORKERS))
 
 

@@ -24,6 +24,7 @@ from scanrender.errors import ScanError, ScanrenderError, StageError
 from scanrender.images import Image
 from scanrender.scan.bake_albedo import ColorSource
 from scanrender.scan.bake_normals import NormalSource
+from scanrender.scan.beside import answers
 from scanrender.scan.child import started_early
 from scanrender.scan.clean import Cleaned, clean
 from scanrender.scan.high import High, Low, make_high
@@ -97,7 +98,7 @@ def prepare_here(
     _warn_of_losses(lost, prep, low, journal)
     crossing = lost.pop("self_intersecting_faces", None)
     info = {
-        "source": source.result(),
+        "source": {**source.result(), "beside": answers(path)},
         "units": cleaned.frame.units,
         "axes": cleaned.frame.axes,
         "raw_from_asset": cleaned.frame.raw_from_asset,

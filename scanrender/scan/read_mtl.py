@@ -12,11 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.errors import ScanError
+from scanrender.scan.beside import IMAGE_SUFFIXES, NOTES, lone_image
 from scanrender.scan.pages import Encoding, Page, constant_page, read_page
 from scanrender.scan.raw import NO_PAGE
 from scanrender.scan.safe_path import inside
 
-_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".tga", ".exr", ".webp")
 _MTL_BYTES = 16 << 20  # twenty materials are 4 KiB: a larger file is something else
 _MOST_PAGES = 32_767  # pages are numbered in 16 bits
 # How many words may follow an option of a texture map; of numbers, fewer are allowed.
@@ -84,7 +84,7 @@ class _Shelf:
         if file is None:
             what = f"material {name} names {named}, which is missing"
             stem = PurePosixPath(named.replace("\\", "/")).stem
-            others = (inside(self.path.parent, stem + x, self.path) for x in _IMAGE_SUFFIXES)
+            others = (inside(self.path.parent, stem + x, self.path) for x in IMAGE_SUFFIXES)
             file = next((other for other in others if other is not None), None)
             self.notes.append(what if file is None else f"{what}: {file.name} is used")
         return None if file is None else read_page(file, encoding)
@@ -177,6 +177,7 @@ def _files(path: Path, libraries: list[str], notes: list[str]) -> list[Path]:
     if likely and (file := inside(path.parent, likely[0].name, path)) is not None:
         notes.append(f"{file.name}, beside the scan, is used as its material file")
         return [file]
+    NOTES.missing.add(f"{path.stem}.mtl")
     return []
 
 
@@ -240,16 +241,3 @@ def _is_number(word: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def lone_image(path: Path) -> Path | None:
-    """The image that obviously belongs to a scan whose file names none, or None."""
-    files = [f for f in sorted(path.parent.iterdir()) if f.is_file()]
-    found = [f for f in files if f.suffix.lower() in _IMAGE_SUFFIXES]
-    found = [f for f in found if f.resolve().is_relative_to(path.parent.resolve())]
-    same = [f for f in found if f.stem.lower() == path.stem.lower()]
-    if same:
-        return same[0]
-    color = [f for f in found if not any(word in f.name.lower() for word in ("norm", "mask"))]
-    objects = [f for f in files if f.suffix.lower() == path.suffix.lower()]
-    return color[0] if len(color) == 1 and len(objects) == 1 else None

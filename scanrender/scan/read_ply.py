@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.errors import ScanError
+from scanrender.scan.beside import lone_image
 from scanrender.scan.pages import Page, read_page
 from scanrender.scan.ply_rows import (
     AsciiRows,
@@ -24,7 +25,6 @@ from scanrender.scan.ply_rows import (
     truncated,
 )
 from scanrender.scan.raw import NO_PAGE, RawMesh
-from scanrender.scan.read_mtl import lone_image
 from scanrender.scan.safe_path import inside
 from scanrender.scan.triangulate import onto_vertices, polygon_corners, strip_faces
 from scanrender.scan.vertex_colors import colors_from_stored

@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
 
 from scanrender.errors import ScanError
+from scanrender.scan.beside import NOTES
 
 
 def inside(folder: Path, reference: str, named_by: Path) -> Path | None:
@@ -19,6 +20,12 @@ def inside(folder: Path, reference: str, named_by: Path) -> Path | None:
     Case and percent-encoding are forgiven, as exporters differ; so is the folder of the machine
     that wrote the scan, when a file of the same name lies beside it here.
     """
+    found = _inside(folder, reference, named_by)
+    NOTES.note(reference, found)
+    return found
+
+
+def _inside(folder: Path, reference: str, named_by: Path) -> Path | None:
     text = reference.strip().strip('"').replace("\\", "/")
     drive = re.match(r"^[A-Za-z]:/", text)
     scheme = re.match(r"^[A-Za-z][A-Za-z0-9+.-]*:", text) and not drive

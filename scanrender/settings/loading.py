@@ -36,7 +36,7 @@ MAX_NESTING = 32
 
 
 @dataclass(frozen=True)
-class _Layer:
+class Layer:
     """One file's plain data, and where each of its keys stands (`file:line`)."""
 
     data: dict[str, Any]
@@ -53,8 +53,12 @@ def load_pipeline(source: str | Path, overrides: Sequence[str] = ()) -> Pipeline
     for text in overrides:
         _apply_override(layer, text)
     _find_pictures(layer)
-    pipeline = _validate(layer, str(path))
+    pipeline = validated(layer, str(path))
     panel_pipelines(pipeline, str(path))  # a slip in the last panel is told before the first
+    if pipeline.matrix:
+        from scanrender.settings.matrix import check_matrix
+
+        check_matrix(pipeline, str(path))
     return pipeline
 
 
@@ -63,13 +67,14 @@ def panel_pipelines(pipeline: Pipeline, source: str) -> list[Pipeline]:
     figure of its own. Raises ConfigError that names the panel's key in `source`."""
     base = pipeline.model_dump(mode="json", exclude_unset=True)
     base.pop("figure", None)
+    base.pop("matrix", None)
     found = []
     for number, panel in enumerate(pipeline.figure.panels):
         where = f"{source}, figure.panels.{number}.set"
-        layer = _Layer(copy.deepcopy(base), {})
+        layer = Layer(copy.deepcopy(base), {})
         for name, value in panel.set.items():
-            _set(layer, name, value, where)
-        found.append(_validate(layer, where))
+            set_key(layer, name, value, where)
+        found.append(validated(layer, where))
     return found
 
 
@@ -96,22 +101,45 @@ def resolved_yaml(pipeline: Pipeline) -> str:
     return stream.getvalue()
 
 
-def _read_with_extends(path: Path, seen: tuple[Path, ...]) -> _Layer:
+def _read_with_extends(path: Path, seen: tuple[Path, ...]) -> Layer:
     path = path.resolve()
     if path in seen or len(seen) > MAX_EXTENDS_DEPTH:
         chain = " extends ".join(p.name for p in (*seen, path))
         raise ConfigError(f"files extend each other in a circle: {chain}", where=str(path))
     own = _read_file(path)
+    _extend_choices(own, path, (*seen, path))
     bases = own.data.pop("extends", [])
-    where = own.places.get(("extends",), str(path))
+    merged = _bases(bases, own.places.get(("extends",), str(path)), path, (*seen, path))
+    merge(merged, own)
+    return merged
+
+
+def _bases(bases: Any, where: str, path: Path, seen: tuple[Path, ...]) -> Layer:
+    """What `extends` names, the later over the earlier."""
     bases = [bases] if isinstance(bases, str) else bases
     if not isinstance(bases, list) or not all(isinstance(base, str) for base in bases):
         raise ConfigError("extends names one file or preset, or a list of them", where)
-    merged = _Layer({}, {})
+    merged = Layer({}, {})
     for base in bases:
-        _merge(merged, _read_with_extends(_find_base(base, path, where), (*seen, path)))
-    _merge(merged, own)
+        merge(merged, _read_with_extends(_find_base(base, path, where), seen))
     return merged
+
+
+def _extend_choices(own: Layer, path: Path, seen: tuple[Path, ...]) -> None:
+    """A choice of a matrix may start from files and presets too, and from pictures beside it."""
+    matrix = own.data.get("matrix")
+    for axis, choices in (matrix if isinstance(matrix, dict) else {}).items():
+        for name, choice in (choices if isinstance(choices, dict) else {}).items():
+            if not isinstance(choice, dict):
+                continue
+            where = own.places.get(("matrix", axis, name), str(path))
+            _anchor_pictures(Layer(choice, {("lights",): where}), path)
+            if "extends" in choice:
+                base = _bases(choice.pop("extends"), where, path, seen)
+                for key in ("version", "description", "matrix"):
+                    base.data.pop(key, None)
+                merge(base, Layer(choice, {}))
+                choices[name] = base.data
 
 
 def _find_base(name: str, beside: Path, where: str) -> Path:
@@ -127,7 +155,7 @@ def _find_base(name: str, beside: Path, where: str) -> Path:
     raise ConfigError(f"extends names {name!r}, which is no file and no preset", where, fix)
 
 
-def _read_file(path: Path) -> _Layer:
+def _read_file(path: Path) -> Layer:
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise ConfigError("this is far too large for a pipeline file", where=str(path))
@@ -145,12 +173,12 @@ def _read_file(path: Path) -> _Layer:
     if not isinstance(document, CommentedMap):
         raise ConfigError("a pipeline file is a mapping of sections", where=f"{path}:1")
     places: dict[Key, str] = {}
-    layer = _Layer(_plain(document, (), path, places), places)
+    layer = Layer(_plain(document, (), path, places), places)
     _anchor_pictures(layer, path)
     return layer
 
 
-def _pictures(layer: _Layer) -> Iterator[tuple[dict[str, Any], str]]:
+def _pictures(layer: Layer) -> Iterator[tuple[dict[str, Any], str]]:
     """Each light that names a picture, and where it does."""
     lights = layer.data.get("lights")
     for index, light in enumerate(lights if isinstance(lights, list) else ()):
@@ -160,7 +188,7 @@ def _pictures(layer: _Layer) -> Iterator[tuple[dict[str, Any], str]]:
             yield light, next((layer.places[key] for key in keys if key in layer.places), "")
 
 
-def _anchor_pictures(layer: _Layer, path: Path) -> None:
+def _anchor_pictures(layer: Layer, path: Path) -> None:
     """Paths in a file count from its folder and stay in it: a pipeline may come from anybody."""
     folder = path.resolve().parent
     for light, place in _pictures(layer):
@@ -174,7 +202,7 @@ def _anchor_pictures(layer: _Layer, path: Path) -> None:
         light["map"] = str(picture)
 
 
-def _find_pictures(layer: _Layer) -> None:
+def _find_pictures(layer: Layer) -> None:
     """What stands relative by now came from the command line: it counts from where we are."""
     for light, place in _pictures(layer):
         if not Path(light["map"]).is_file():
@@ -220,21 +248,21 @@ def _plain(node: Any, key: Key, path: Path, places: dict[Key, str]) -> Any:
     raise ConfigError(f"{name}: put this value into quotes: {node}", places.get(key, str(path)))
 
 
-def _merge(under: _Layer, over: _Layer) -> None:
+def merge(under: Layer, over: Layer) -> None:
     """Mappings merge key by key; everything else (lists too) replaces."""
 
-    def merge(base: dict[str, Any], top: Mapping[str, Any]) -> None:
+    def lay(base: dict[str, Any], top: Mapping[str, Any]) -> None:
         for name, value in top.items():
             if isinstance(value, dict) and isinstance(base.get(name), dict):
-                merge(base[name], value)
+                lay(base[name], value)
             else:
                 base[name] = value
 
-    merge(under.data, over.data)
+    lay(under.data, over.data)
     under.places.update(over.places)
 
 
-def _apply_override(layer: _Layer, text: str) -> None:
+def _apply_override(layer: Layer, text: str) -> None:
     name, equals, value_text = text.partition("=")
     place = f"--set {text}"
     if not equals or not name.strip():
@@ -243,10 +271,10 @@ def _apply_override(layer: _Layer, text: str) -> None:
         value = YAML(typ="safe", pure=True).load(value_text)
     except YAMLError as error:
         raise ConfigError(f"the value is not valid YAML: {value_text!r}", where=place) from error
-    _set(layer, name, value, place)
+    set_key(layer, name, value, place)
 
 
-def _set(layer: _Layer, name: str, value: Any, place: str) -> None:
+def set_key(layer: Layer, name: str, value: Any, place: str) -> None:
     parts: list[str | int] = [int(p) if p.isdigit() else p for p in name.strip().split(".")]
     if parts[0] == "extends":
         raise ConfigError("extends can stand in a file only", place, "set the values themselves")
@@ -275,7 +303,7 @@ def _step(target: Any, part: str | int, place: str) -> Any:
     return target[part]
 
 
-def _validate(layer: _Layer, source: str) -> Pipeline:
+def validated(layer: Layer, source: str) -> Pipeline:
     try:
         return Pipeline.model_validate(layer.data)
     except ValidationError as error:
@@ -285,7 +313,7 @@ def _validate(layer: _Layer, source: str) -> Pipeline:
         raise _explain((mistyped or problems)[0], layer, source) from error
 
 
-def _explain(problem: Any, layer: _Layer, source: str) -> ConfigError:
+def _explain(problem: Any, layer: Layer, source: str) -> ConfigError:
     """Turn pydantic's first complaint into what, where, what to do."""
     # Union branches (`scan.units`, light types) put their own names into the location: keep only
     # what really stands in the file.

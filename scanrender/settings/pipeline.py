@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 from scanrender.settings.base import Section, setting
 from scanrender.settings.figure import FigureSettings
@@ -43,3 +43,9 @@ class Pipeline(Section):
     view: ViewSettings = ViewSettings()
     outputs: OutputSettings = OutputSettings()
     figure: FigureSettings = FigureSettings()
+    matrix: dict[str, dict[str, dict[str, Any]]] = setting(
+        {},
+        "Named axes of named changes; every combination is run, in a folder of its own. A change "
+        "holds sections, keys as with --set (`lights.0.irradiance: 0.5`), or `extends: a preset`.",
+        unit="",
+    )

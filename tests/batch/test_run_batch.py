@@ -9,12 +9,12 @@ import pytest
 from render.synthetic import pipeline, sphere
 
 from scanrender.asset import save_asset
-from scanrender.batch import run as batch_run
+from scanrender.batch import job as batch_job
 from scanrender.batch.job import Result, run_job
+from scanrender.batch.jobs import Job
 from scanrender.batch.run import run_batch
 from scanrender.errors import BatchError, OutputError, ScanError, StageError, UsageError
 from scanrender.files import TEMPORARY_PREFIX, check_writable
-from scanrender.settings.pipeline import Pipeline
 
 TINY = pipeline(
     stages=["render"],
@@ -36,7 +36,9 @@ def asset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def files_in(folder: Path) -> set[str]:
-    return {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    """Results; the record and the log beside them are another matter."""
+    names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    return {name for name in names if name.split("/")[-1] not in ("record.json", "log.txt")}
 
 
 # --- several scans -------------------------------------------------------------------------------
@@ -45,13 +47,13 @@ def files_in(folder: Path) -> set[str]:
 def fake_jobs(monkeypatch: pytest.MonkeyPatch, failing: dict[str, Exception]) -> list[Path]:
     folders = []
 
-    def job(scan: Path, settings: Pipeline, folder: Path, progress, frames) -> Result:
-        folders.append(folder)
-        if scan.name in failing:
-            raise failing[scan.name]
-        return Result(scan.stem, folder)
+    def do(job: Job, progress, verify: bool) -> Result:
+        folders.append(job.folder)
+        if job.scan.name in failing:
+            raise failing[job.scan.name]
+        return Result(job.scan.stem, job.folder)
 
-    monkeypatch.setattr(batch_run, "run_job", job)
+    monkeypatch.setattr(batch_job, "do_job", do)
     return folders
 
 
@@ -64,7 +66,7 @@ def test_the_others_complete(monkeypatch: pytest.MonkeyPatch, error: Exception):
     said: list[str] = []
     batch = run_batch(SCANS, TINY, Path("out"), silent, said.append)
     assert [result.name for result in batch.results] == ["a", "c"]
-    assert [path.name for path, _ in batch.failures] == ["b.obj"]
+    assert [failure.job.scan.name for failure in batch.failures] == ["b.obj"]
     assert folders == [Path("out/a"), Path("out/b"), Path("out/c")]
     with pytest.raises(BatchError, match="1 of 3") as caught:
         batch.raise_if_failed()
@@ -181,9 +183,11 @@ def test_a_second_run_that_fails_leaves_no_manifest_to_vouch_for_it(
     def stop(stage: str, fraction: float) -> None:
         raise StageError("the machine went away")
 
+    other = pipeline(TINY.model_dump(mode="json"), skin={"scale": 0})
     with pytest.raises(StageError):
-        run_job(asset, TINY, tmp_path, stop)
+        run_job(asset, other, tmp_path, stop)
     assert not (tmp_path / "manifest.json").exists()
+    assert not (tmp_path / "turntable.mp4").exists(), "it shows other settings"
     assert not [name for name in files_in(tmp_path) if TEMPORARY_PREFIX in name]
 
 

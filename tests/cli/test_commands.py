@@ -34,7 +34,9 @@ TINY = [
 
 
 def files_in(folder: Path) -> set[str]:
-    return {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    """Results; the record and the log beside them are another matter."""
+    names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    return {name for name in names if name.split("/")[-1] not in ("record.json", "log.txt")}
 
 
 def write_ball(path: Path) -> Path:

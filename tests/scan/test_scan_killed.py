@@ -149,7 +149,7 @@ def test_twenty_kills_in_every_stage_never_stop_the_batch_nor_leave_half_an_asse
         killer.plan[victim + 1] = stage, 0.0 if begin else moments.uniform(0.001, stages[stage])
     batch = run_batch(scans[1:], pipeline, out, killer, lambda _: None)
     finished = {result.name for result in batch.results}
-    killed = {path.stem: error for path, error in batch.failures}
+    killed = {failed.job.scan.stem: failed.error for failed in batch.failures}
     assert {"05", "14", "23"} <= finished
     assert len(finished) + len(killed) == 23
     assert len(killed) >= len(stages), "each stage was killed as it began"

@@ -1,0 +1,70 @@
+"""Two runs in one folder: the second is told so. A lock ends with its process in any case."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+from collections.abc import Iterator
+from pathlib import Path
+
+from scanrender.errors import OutputError
+
+LOCK_NAME = ".scanrender.lock"
+_held: set[Path] = set()
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold the folder for this process. Raises OutputError when another one holds it.
+
+    Where the system has no such locks (Windows, some network file systems) nothing is held.
+    """
+    path = folder.resolve() / LOCK_NAME
+    if path in _held:
+        yield
+        return
+    descriptor = _acquired(path)
+    if descriptor is None:
+        yield
+        return
+    _held.add(path)
+    try:
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, f"process {os.getpid()} on {platform.node()}".encode())
+        yield
+    finally:
+        _held.discard(path)
+        path.unlink(missing_ok=True)  # while it is held: nobody can hold the next one of that name
+        os.close(descriptor)
+
+
+def _acquired(path: Path) -> int | None:
+    try:
+        import fcntl
+    except ImportError:
+        return None
+    while True:
+        try:
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        except OSError as error:
+            what = f"cannot write into {path.parent}: {error.strerror}"
+            raise OutputError(what, str(path.parent), "choose another --out") from error
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            said = os.pread(descriptor, 200, 0).decode("utf-8", "replace") or "another run"
+            os.close(descriptor)
+            raise OutputError(
+                f"another run works in {path.parent} ({said})",
+                str(path),
+                "wait until it has ended, or choose another --out",
+            ) from None
+        except OSError:
+            os.close(descriptor)
+            return None
+        # The one who held it may have removed it between our two calls: then this is no lock.
+        with contextlib.suppress(OSError):
+            if os.fstat(descriptor).st_ino == path.stat().st_ino:
+                return descriptor
+        os.close(descriptor)
