@@ -19,6 +19,7 @@ from scanrender.render.check import check_beauty, check_pass
 from scanrender.render.device import Device
 from scanrender.render.graph import Graph, TexturePool
 from scanrender.render.lamps import WIDEST_MAP_DEG
+from scanrender.render.maps import unsound_texels
 from scanrender.render.passes import all_passes
 from scanrender.render.passes._scatter import largest_width_factor
 from scanrender.render.plan import Decision, plan
@@ -55,6 +56,7 @@ class Renderer:
         self.graph = Graph(all_passes(self.scene), self.scene.dtype, check)
         self.pool = TexturePool(device) if like is None else like.pool
         self.supersampler = Supersampler(device, self.pool, self.scene, self.graph, check)
+        self.decisions += _map_decisions(asset) if like is None else []
         self.decisions += _light_decisions(self.scene) + _curvature_decisions(self.scene)
         self.camera = self._camera() if like is None else like._camera_for(self.pipeline)
         self.guard_px = self._guard_px()
@@ -211,6 +213,16 @@ class Renderer:
             "px_per_mm": round(self.camera.px_per_mm(self.camera.distance_mm), 6),
             "guard_px": self.guard_px,
         }
+
+
+def _map_decisions(asset: Asset) -> list[Decision]:
+    """Texels that are no numbers are not drawn as they are."""
+    counts = {name: unsound_texels(pixels) for name, pixels in asset.maps.items()}
+    return [
+        Decision(f"{count} texels of {name}", "they are no finite numbers: they take its mean")
+        for name, count in counts.items()
+        if count
+    ]
 
 
 def _light_decisions(scene: Scene) -> list[Decision]:

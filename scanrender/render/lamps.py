@@ -16,6 +16,7 @@ from scanrender.render.camera import Matrix, rotation_x, rotation_y
 from scanrender.settings.light import (
     AmbientLight,
     DirectionalLight,
+    EnvironmentLight,
     LampSettings,
     Light,
     SpotLight,
@@ -82,6 +83,18 @@ class Lamp:
         if isinstance(self.settings, DirectionalLight):
             return float(np.tan(np.deg2rad(self.settings.size_deg) / 2))
         return float(self.settings.radius_mm)
+
+
+def light_level(lights: Sequence[Light]) -> float:
+    """What all lights give together, the brightest channel of each: how bright a white face can be.
+
+    In units of pi, as their irradiance is stated; a picture's own values count as 1.
+    """
+    return float(sum(
+        (light.intensity if isinstance(light, EnvironmentLight) else light.irradiance)
+        * max(light.colour)
+        for light in lights
+    ))  # fmt: skip
 
 
 def resolve_lights(lights: Sequence[Light], radius_mm: float) -> tuple[list[Lamp], Vector]:
