@@ -35,4 +35,4 @@ def passes(scene: Scene) -> list[Pass]:
         )
         scene.device.fill(program)
 
-    return [Pass("compose", tuple(reads), (Buffer("radiance"),), draw)]
+    return [Pass("compose", tuple(reads), (Buffer("radiance", exact=True),), draw)]

@@ -59,9 +59,11 @@ def passes(scene: Scene) -> list[Pass]:
             bind(program, uniforms)
             device.fill(program)
 
-    return [Pass("specular", (*SURFACE, *shadowed), (Buffer("specular"),), draw)]
+    return [Pass("specular", (*SURFACE, *shadowed), (HIGHLIGHTS,), draw)]
 
 
+# A grazing mirror of a narrow lobe reflects ten thousand times what a white wall does.
+HIGHLIGHTS = Buffer("specular", exact=True)
 SURFACE = ("position", "normal_geometry", "normal_shading", "ao")
 
 
