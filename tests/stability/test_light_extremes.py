@@ -1,4 +1,4 @@
-"""Light from 1e-8 to 1e8: the same picture times the light, in every buffer and at any precision."""
+"""Light from 1e-8 to 1e8: the same picture times the light, in any buffer and precision."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ def test_any_texels_give_a_sound_picture(gl: Device, value: float, share: float)
 
 
 def test_a_wild_texel_does_not_spread(gl: Device):
-    """It took its neighbours with it through filtering and mip levels: all of the ball was black."""
+    """It took its neighbours with it, through filtering and mip levels: all of the ball."""
     maps = maps_with(np.nan, 0.0)
     sound = render(gl, Asset(sphere_mesh(30.0, 12), maps), pipeline(SHOT))["beauty"]
     maps["albedo"][8, 8] = np.nan
