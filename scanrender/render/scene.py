@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,12 +12,12 @@ import moderngl
 import numpy as np
 import numpy.typing as npt
 
-from scanrender.asset import Asset
+from scanrender.asset import Asset, check_mesh
 from scanrender.optics.kernels import gaussian_taps
 from scanrender.optics.profiles._checks import MIN_LENGTH_MM
 from scanrender.optics.profiles.gaussians import D_EON_SKIN, GaussianSum
 from scanrender.optics.surface import SpecularLobes, rho_dt
-from scanrender.render.camera import Camera, Matrix, rotation_y
+from scanrender.render.camera import Camera, Matrix, bounding_radius_mm, linear_depth, rotation_y
 from scanrender.render.device import Device
 from scanrender.render.environment import Environment
 from scanrender.render.lamps import Lamp, light_level, resolve_lights
@@ -71,6 +72,11 @@ class Shot:
     def is_orthographic(self) -> bool:
         return bool(self.clip_from_view[3, 2] == 0.0)
 
+    @property
+    def linear_depth(self) -> dict[str, tuple[float, float]]:
+        """`depth_range_mm` where the depth buffer is linear."""
+        return linear_depth(self.clip_from_view, self.far_mm)
+
     def px_per_mm(self, depth_mm: float) -> float:
         """Pixels per millimetre at a depth: 0.5 H P11 / z, without /z when orthographic."""
         scale = float(0.5 * self.size[1] * self.clip_from_view[1, 1])
@@ -96,7 +102,9 @@ class Scene:
         self.asset = asset
         self.pipeline = pipeline
         self._like = like
-        self.radius_mm = float(np.linalg.norm(asset.mesh.positions_mm, axis=1).max(initial=1e-3))
+        if like is None:
+            check_mesh(asset.mesh)
+        self.radius_mm = bounding_radius_mm(asset.mesh.positions_mm)
         self.lamps, self.ambient = resolve_lights(pipeline.lights, self.radius_mm)
         self.light_level = light_level(pipeline.lights)
         self.profile = profile_of(pipeline.skin)
@@ -298,10 +306,17 @@ class Scene:
     @cached_property
     def facet_mm(self) -> float:
         """Standard deviation of the smoothing that triangles do: normals that are linear in one
-        have their curvature averaged over it, a box with a twelfth of its squared side."""
+        have their curvature averaged over it, a box with a twelfth of its squared side.
+
+        A mean over the surface, not over triangles: a few thousand small ones somewhere inside say
+        nothing of those that are seen.
+        """
         corners = self.asset.mesh.positions_mm[self.asset.mesh.faces].astype(np.float64)
         sides = corners - np.roll(corners, 1, axis=1)
-        return float(np.sqrt(np.einsum("fij,fij->fi", sides, sides).mean() / 12.0))
+        areas = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+        squared = np.einsum("fij,fij->fi", sides, sides).mean(axis=1)
+        total = float(areas.sum())
+        return math.sqrt(float(areas @ squared) / total / 12.0) if total > 0.0 else 0.0
 
 
 def profile_of(skin: SkinSettings) -> GaussianSum:
