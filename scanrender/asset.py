@@ -97,6 +97,22 @@ class Asset:
     lods: Sequence[Mesh] = ()
 
 
+def check_mesh(mesh: Mesh, where: str | None = None) -> None:
+    """Raise ScanError for a mesh that cannot be drawn: empty, not finite, or with faces of vertices
+    that are not there. One vertex that is no number is enough for a triangle across the picture."""
+    count = len(mesh.positions_mm)
+    what = ""
+    if count == 0 or len(mesh.faces) == 0:
+        what = "the mesh is empty"
+    elif int(mesh.faces.max()) >= count:
+        what = f"a face names vertex {int(mesh.faces.max())} of {count}"
+    for name in ("positions_mm", "normals", "tangents", "uv"):
+        bad = int((~np.isfinite(getattr(mesh, name))).any(axis=1).sum())
+        what = what or (f"{bad} vertices have {name} that are not finite" if bad else "")
+    if what:
+        raise ScanError(what, where, "prepare the scan again: scanrender prep")
+
+
 def is_asset(folder: Path | str) -> bool:
     """Whether this is a prepared scan's folder and not a raw scan."""
     return (Path(folder) / "asset.json").is_file()
@@ -164,13 +180,15 @@ def load_asset(folder: Path | str, maps: Collection[str] | None = None) -> Asset
     if not isinstance(levels, list):
         raise ScanError("the asset does not list its lods", str(description), "prepare it again")
     wanted = [name for name in listed if maps is None or name in maps]
+    files = ["mesh.glb", *(LOD_FILE.format(number) for number in range(1, 1 + len(levels)))]
+    meshes = [_read_glb(folder / file) for file in files]
+    for mesh, file in zip(meshes, files, strict=True):
+        check_mesh(mesh, str(folder / file))
     return Asset(
-        mesh=_read_glb(folder / "mesh.glb"),
+        mesh=meshes[0],
         maps={name: _read_map(folder, name) for name in wanted},
         info=info,
-        lods=tuple(
-            _read_glb(folder / LOD_FILE.format(number)) for number in range(1, 1 + len(levels))
-        ),
+        lods=tuple(meshes[1:]),
     )
 
 

@@ -16,6 +16,8 @@ Rgb: TypeAlias = tuple[float, float, float]
 _UfuncOfOne: TypeAlias = Callable[[Array], Array]
 
 erf = cast(_UfuncOfOne, special.erf)
+#: exp(x^2) erfc(x), which neither overflows nor cancels.
+erfcx = cast(_UfuncOfOne, special.erfcx)
 erfc = cast(_UfuncOfOne, special.erfc)
 bessel_k0 = cast(_UfuncOfOne, special.k0)
 #: e^{-x} I_n(x) of order n and x, broadcast.

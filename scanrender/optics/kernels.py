@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.errors import ConfigError
-from scanrender.optics._math import Array, as_array, erf, erfc, scaled_bessel_i
+from scanrender.optics._math import Array, as_array, erf, erfc, erfcx, scaled_bessel_i
 from scanrender.optics.profiles import DiffusionProfile
 from scanrender.optics.profiles._checks import MAX_LENGTH_MM, MIN_LENGTH_MM, checked_rgb
 
@@ -125,16 +125,21 @@ def footprint_taps(
     cell = 1.0 / samples
     x = np.arange(-radius_px, radius_px, dtype=np.float64) + 0.5 + shift_px
 
-    # The CDF between taps: the box of a pixel sums to a step, so what is left is box_cell * G.
+    # The CDF between taps: the box of a pixel sums to a step, so what is left is box_cell * G. From
+    # the nearer end, 1 - CDF on the right: differences of numbers near 1 leave weights of -1e-16,
+    # which are negative light beside bright light.
     def integral(at: Array) -> Array:
-        """Twice integrated Gaussian, x Phi(x / sigma) + sigma phi(x / sigma); max(x, 0) at 0."""
-        u = at / np.maximum(sigma, 1e-12)
-        density = np.exp(-0.5 * np.square(u)) / math.sqrt(2.0 * math.pi)
-        return np.asarray(at * 0.5 * erfc(-u / math.sqrt(2.0)) + sigma * density)
+        """Twice integrated Gaussian, x Phi(x / sigma) + sigma phi(x / sigma); max(x, 0) at 0.
 
-    cumulative = (integral(x + 0.5 * cell) - integral(x - 0.5 * cell)) / cell
-    # It only rises, to 1: where it is flat, rounding made taps of -1e-15, and so negative light.
-    return _folded(np.clip(np.maximum.accumulate(cumulative, axis=1), 0.0, 1.0))
+        What it is above max(x, 0), by erfcx: exp and erfc cancel each other far out.
+        """
+        u = np.abs(at) / np.maximum(sigma, 1e-12)
+        density = np.exp(-0.5 * np.square(u)) / math.sqrt(2.0 * math.pi)
+        mills = math.sqrt(0.5 * math.pi) * erfcx(u / math.sqrt(2.0))
+        return np.asarray(sigma * density * (1.0 - u * mills) + np.maximum(at, 0.0))
+
+    outside = -np.abs(x)
+    return _folded((integral(outside + 0.5 * cell) - integral(outside - 0.5 * cell)) / cell, x)
 
 
 def discrete_gaussian_taps(sigma_px: npt.ArrayLike, radius_px: int) -> Array:
@@ -149,8 +154,7 @@ def discrete_gaussian_taps(sigma_px: npt.ArrayLike, radius_px: int) -> Array:
         raise ConfigError("needs sigma_px >= 0 and radius_px 1 to 64", "sigma_px")
     order = np.arange(-radius_px, radius_px + 1, dtype=np.float64)
     weights = scaled_bessel_i(np.abs(order)[None], np.square(sigma))
-    # Nothing is lost of a narrow one: rounding must not make a negative end of it.
-    lost = np.maximum(1.0 - weights.sum(axis=1), 0.0)
+    lost = np.maximum(1.0 - weights.sum(axis=1), 0.0)  # no rounding below nothing
     weights[:, 0] += 0.5 * lost
     weights[:, -1] += 0.5 * lost
     return weights
@@ -277,10 +281,15 @@ def _cells(offsets_mm: Array, cumulative: Array) -> SeparableTaps:
     return SeparableTaps(_frozen(offsets_mm), _frozen(weights), _frozen(cell))
 
 
-def _folded(cumulative: Array) -> Array:
-    """Return tap weights (m, n + 1) from the CDF at the n edges between taps, (m, n)."""
-    low, high = np.zeros((len(cumulative), 1)), np.ones((len(cumulative), 1))
-    return np.diff(np.concatenate((low, cumulative, high), axis=1), axis=1)
+def _folded(tails: Array, edges: Array) -> Array:
+    """Return tap weights (m, n + 1) from what lies beyond the n ``edges`` between taps (n,): to the
+    left of those up to 0, to the right of the others, ``tails`` (m, n)."""
+    none = np.zeros((len(tails), 1))
+    beyond = np.concatenate((none, tails, none), axis=1)
+    is_left = np.concatenate(([True], edges <= 0.0, [False]))
+    low, high = beyond[:, :-1], beyond[:, 1:]
+    middle = np.where(is_left[:-1], 1.0 - low - high, low - high)
+    return np.asarray(np.where(is_left[1:], high - low, middle))
 
 
 def _checked_sigmas(sigma_mm: npt.ArrayLike, where: str) -> Array:

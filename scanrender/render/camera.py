@@ -17,6 +17,9 @@ from scanrender.settings.shot import CameraSettings
 
 Matrix = npt.NDArray[np.float64]
 SENSOR_HEIGHT_MM = 24.0
+# Far over near plane beyond which the depth buffer holds depth itself, not its reciprocal: 24 bits of
+# that are then coarser than a thousandth of the depth, and what lies behind comes through.
+LINEAR_DEPTH_FROM = 1e4
 # Chin to crown, adults: 227 mm (the close view of the published timings).
 HALF_HEAD_MM = 113.5
 
@@ -106,8 +109,7 @@ class Camera:
         # A sample right of the pixel's centre sees what a picture moved left would show there.
         matrix[0, 2] = 2.0 * right / wide
         matrix[1, 2] = -2.0 * down / tall
-        matrix[2, 2] = -(far + near) / (far - near)
-        matrix[2, 3] = -2.0 * far * near / (far - near)
+        matrix[2, 2:] = depth_rows(near, far)
         matrix[3, 2] = -1.0
         return matrix
 
@@ -115,6 +117,11 @@ class Camera:
         """Pixels per millimetre at a depth: 0.5 H P11 / z, square pixels, ortho without /z."""
         scale = 0.5 * self.size_px[1] / self.half_height
         return scale if self.is_orthographic else scale / depth_mm
+
+
+def bounding_radius_mm(positions_mm: npt.NDArray[np.floating]) -> float:
+    """Of the sphere around the origin that holds everything; never nothing, for a single point."""
+    return float(np.linalg.norm(positions_mm, axis=1).max(initial=1e-6))
 
 
 def frame_subject(
@@ -130,10 +137,11 @@ def frame_subject(
     aim = float(np.max(positions_mm[:, 1])) - HALF_HEAD_MM if settings.aim == "head" else 0.0
     target = np.array([0.0, aim + settings.look_up_mm, 0.0])
     points = _outermost(np.asarray(positions_mm, dtype=np.float64) - target)
-    radius = float(np.linalg.norm(points, axis=1).max(initial=1e-3))
+    radius = bounding_radius_mm(points)
     is_orthographic = settings.projection == "orthographic"
-    # In front of the whole subject: parallel rays see the same from anywhere.
-    half_height, distance = 0.5 * SENSOR_HEIGHT_MM / settings.focal_mm, 2.0 * radius
+    # Well in front of the whole subject: parallel rays see the same from anywhere, and a triangle
+    # thinner than the rasteriser's grid is drawn as far off as it is deep.
+    half_height, distance = 0.5 * SENSOR_HEIGHT_MM / settings.focal_mm, 8.0 * radius
     if is_orthographic:
         half_height = _half_height_mm(settings, points, turn_angles_deg, radius)
     elif settings.height_mm is not None:
@@ -201,6 +209,23 @@ def _outermost(points: Matrix) -> Matrix:
         return np.asarray(points[ConvexHull(points).vertices])
     except QhullError:  # a flat subject has no hull
         return points
+
+
+def depth_rows(near: float, far: float) -> tuple[float, float]:
+    """z of the clip space over (z, 1) of the view's; beyond LINEAR_DEPTH_FROM without a far plane,
+    which float32 could not tell from what lies before it."""
+    if far > LINEAR_DEPTH_FROM * near:
+        return -1.0, -2.0 * near
+    return -(far + near) / (far - near), -2.0 * far * near / (far - near)
+
+
+def linear_depth(clip_from_view: Matrix, far: float) -> dict[str, tuple[float, float]]:
+    """`depth_range_mm` (near plane, what lies beyond it) where the depth buffer is linear, else
+    nothing: the uniform of `linear_depth.glsl`, for a matrix made with `depth_rows`."""
+    if clip_from_view[3, 2] == 0.0 or clip_from_view[2, 2] != -1.0:
+        return {}
+    near = -0.5 * float(clip_from_view[2, 3])
+    return {"depth_range_mm": (near, far - near)}
 
 
 def rotation_y(degrees: float) -> Matrix:

@@ -58,7 +58,9 @@ def faults(pixels: npt.NDArray[np.floating], limits: tuple[float, float]) -> npt
 def check_beauty(beauty: npt.NDArray[np.float32]) -> None:
     """The picture (h, w, 4) itself: always looked at. Raises StageError for what is no light."""
     # In float64 no picture's sum overflows: it is finite when each pixel is.
-    if np.isfinite(beauty.sum(dtype=np.float64)) and beauty.min() >= 0.0:
+    with np.errstate(invalid="ignore"):
+        total = beauty.sum(dtype=np.float64)
+    if np.isfinite(total) and beauty.min() >= 0.0:
         return
     bad = ~(np.isfinite(beauty) & (beauty >= 0.0))
     (y, x), value = _first(beauty, bad)

@@ -35,6 +35,7 @@ class Device:
         self.renderer = str(context.info["GL_RENDERER"])
         self.version = str(context.info["GL_VERSION"])
         self.vendor = str(context.info["GL_VENDOR"])
+        self.most_px = int(context.info["GL_MAX_TEXTURE_SIZE"])  # a side of a picture
         self._programs: dict[tuple[str, str, tuple[str, ...]], moderngl.Program] = {}
         self._triangles: dict[int, moderngl.VertexArray] = {}
 

@@ -13,12 +13,13 @@ import numpy.typing as npt
 
 from scanrender.asset import Asset
 from scanrender.buffers import CATALOGUE, Frame, buffer_spec
-from scanrender.errors import StageError, UsageError
+from scanrender.errors import ConfigError, StageError, UsageError
 from scanrender.render.camera import Camera, frame_subject
 from scanrender.render.check import check_beauty, check_pass
 from scanrender.render.device import Device
 from scanrender.render.graph import Graph, TexturePool
 from scanrender.render.lamps import WIDEST_MAP_DEG
+from scanrender.render.maps import unsound_texels
 from scanrender.render.passes import all_passes
 from scanrender.render.passes._scatter import largest_width_factor
 from scanrender.render.plan import Decision, plan
@@ -49,12 +50,14 @@ class Renderer:
     ) -> None:
         """`like` is a renderer of the same asset, whose device memory serves this one too."""
         self.device = device
+        _check_size(pipeline, device.most_px)
         self.pipeline, self.decisions = plan(pipeline, asset.maps)
         self.scene = Scene(device, asset, self.pipeline, None if like is None else like.scene)
         check = check_pass if self.pipeline.quality.check else None
         self.graph = Graph(all_passes(self.scene), self.scene.dtype, check)
         self.pool = TexturePool(device) if like is None else like.pool
         self.supersampler = Supersampler(device, self.pool, self.scene, self.graph, check)
+        self.decisions += _map_decisions(asset) if like is None else []
         self.decisions += _light_decisions(self.scene) + _curvature_decisions(self.scene)
         self.camera = self._camera() if like is None else like._camera_for(self.pipeline)
         self.guard_px = self._guard_px()
@@ -165,13 +168,15 @@ class Renderer:
     def _guard_px(self) -> int:
         """Pixels rendered beyond the picture, so that light diffuses in from outside it.
 
-        R_99.9 of the widest channel at the nearest point; at most half the picture (DESIGN 6).
+        R_99.9 of the widest channel at the nearest point; at most half the picture (DESIGN 6), and
+        what the device holds.
         """
         if self.pipeline.diffusion.method == "none":
             return 0
         reach = self.camera.px_per_mm(self.camera.near_mm) * float(self.scene.reach_mm.max())
         reach *= largest_width_factor(self.scene)
-        limit = min(self.camera.size_px) // 2
+        size = self.camera.size_px
+        limit = min(min(size) // 2, (self.device.most_px - max(size)) // 2)
         if reach > limit:
             reason = f"the profile reaches {reach:.0f} px; the guard band stops at {limit} px"
             self.decisions.append(Decision("guard band", reason))
@@ -211,6 +216,26 @@ class Renderer:
             "px_per_mm": round(self.camera.px_per_mm(self.camera.distance_mm), 6),
             "guard_px": self.guard_px,
         }
+
+
+def _check_size(pipeline: Pipeline, most_px: int) -> None:
+    width, height = pipeline.camera.width_px, pipeline.camera.height_px
+    if max(width, height) > most_px:
+        raise ConfigError(
+            f"a picture of {width} x {height} px is more than this GL holds: {most_px} a side",
+            "camera.width_px, camera.height_px",
+            "render it in parts (figure.crop), or on another device",
+        )
+
+
+def _map_decisions(asset: Asset) -> list[Decision]:
+    """Texels that are no numbers are not drawn as they are."""
+    counts = {name: unsound_texels(pixels) for name, pixels in asset.maps.items()}
+    return [
+        Decision(f"{count} texels of {name}", "they are no finite numbers: they take its mean")
+        for name, count in counts.items()
+        if count
+    ]
 
 
 def _light_decisions(scene: Scene) -> list[Decision]:

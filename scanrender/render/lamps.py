@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from scanrender.render.camera import Matrix, rotation_x, rotation_y
+from scanrender.render.camera import Matrix, depth_rows, linear_depth, rotation_x, rotation_y
 from scanrender.settings.light import (
     AmbientLight,
     DirectionalLight,
+    EnvironmentLight,
     LampSettings,
     Light,
     SpotLight,
@@ -32,7 +33,7 @@ class Lamp:
 
     `irradiance` is RGB at the subject's centre in units of pi. The light's own space has the
     subject's centre at its origin and the lamp `distance_mm` up its +Z: a lamp 10 km away then
-    costs float32 no digits. `sees_all` is false when the shadow map cannot hold all that the light
+    costs float32 no digits; `clip_from_lamp` is from axes at the lamp itself. `sees_all` is false when the shadow map cannot hold all that the light
     reaches.
     """
 
@@ -41,6 +42,7 @@ class Lamp:
     irradiance: Vector
     light_from_rig: Matrix
     clip_from_light: Matrix
+    clip_from_lamp: Matrix
     near_mm: float
     far_mm: float
     distance_mm: float
@@ -50,6 +52,11 @@ class Lamp:
     def is_near(self) -> bool:
         """A lamp that stands somewhere; parallel light does not."""
         return not isinstance(self.settings, DirectionalLight)
+
+    @property
+    def linear_depth(self) -> dict[str, tuple[float, float]]:
+        """`depth_range_mm` where the shadow map's depth buffer is linear."""
+        return linear_depth(self.clip_from_lamp, self.far_mm)
 
     @property
     def position_mm(self) -> Vector:
@@ -82,6 +89,18 @@ class Lamp:
         if isinstance(self.settings, DirectionalLight):
             return float(np.tan(np.deg2rad(self.settings.size_deg) / 2))
         return float(self.settings.radius_mm)
+
+
+def light_level(lights: Sequence[Light]) -> float:
+    """What all lights give together, the brightest channel of each: how bright a white face can be.
+
+    In units of pi, as their irradiance is stated; a picture's own values count as 1.
+    """
+    return float(sum(
+        (light.intensity if isinstance(light, EnvironmentLight) else light.irradiance)
+        * max(light.colour)
+        for light in lights
+    ))  # fmt: skip
 
 
 def resolve_lights(lights: Sequence[Light], radius_mm: float) -> tuple[list[Lamp], Vector]:
@@ -119,7 +138,7 @@ def _lamp(light: LampSettings, index: int, radius_mm: float) -> Lamp:
     back[2, 3] = -distance
     frame = rotation_x(elevation) @ rotation_y(-azimuth)
     colour = light.irradiance * np.asarray(light.colour, dtype=np.float64)
-    return Lamp(index, light, colour, frame, clip @ back, near, far, distance, sees_all)
+    return Lamp(index, light, colour, frame, clip @ back, clip, near, far, distance, sees_all)
 
 
 def _map_tangent(light: LampSettings, distance: float, radius_mm: float) -> tuple[float, bool]:
@@ -145,11 +164,7 @@ def _parallel(half_width_mm: float, near: float, far: float) -> Matrix:
 
 
 def _perspective(tan: float, near: float, far: float) -> Matrix:
-    return np.array(
-        [
-            [1 / tan, 0, 0, 0],
-            [0, 1 / tan, 0, 0],
-            [0, 0, -(far + near) / (far - near), -2 * far * near / (far - near)],
-            [0, 0, -1, 0],
-        ]
-    )
+    clip = np.diag([1.0 / tan, 1.0 / tan, 0.0, 0.0])
+    clip[2, 2:] = depth_rows(near, far)
+    clip[3, 2] = -1.0
+    return clip

@@ -9,12 +9,15 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
+from scanrender.render.lamps import light_level
 from scanrender.settings.light import EnvironmentLight, LampSettings
 from scanrender.settings.pipeline import Pipeline
 
 HALF_MAX = 65504.0
-# A highlight of the narrowest lobe reflects some hundred times what a white wall does.
+# Times what lamps near the surface and grazing pixels add to it: well below HALF_MAX.
 BRIGHTEST_IN_HALF = 100.0
+# Half floats have all their digits down to 6e-5: a shadow a tenth as bright as this keeps them.
+DIMMEST_IN_HALF = 1e-3
 
 
 @dataclass(frozen=True)
@@ -52,14 +55,15 @@ def _without_black_lights(pipeline: Pipeline, decisions: list[Decision]) -> Pipe
 
 
 def _with_precision_that_holds(pipeline: Pipeline, decisions: list[Decision]) -> Pipeline:
-    brightest = sum(
-        (light.intensity if isinstance(light, EnvironmentLight) else light.irradiance)
-        * max(light.colour)
-        for light in pipeline.lights
-    )
-    if pipeline.quality.precision == "full" or brightest <= BRIGHTEST_IN_HALF:
+    level = light_level(pipeline.lights)
+    holds = DIMMEST_IN_HALF <= level <= BRIGHTEST_IN_HALF or not pipeline.lights
+    if pipeline.quality.precision == "full" or holds:
         return pipeline
-    reason = f"light of {brightest:.3g} could pass what half floats hold ({HALF_MAX:g})"
+    reason = (
+        f"light of {level:.3g} could pass what half floats hold ({HALF_MAX:g})"
+        if level > 1.0
+        else f"light of {level:.3g} is so dim that half floats lose its digits"
+    )
     decisions.append(Decision("quality.precision: half", reason))
     full = pipeline.quality.model_copy(update={"precision": "full"})
     return pipeline.model_copy(update={"quality": full})

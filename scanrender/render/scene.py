@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,15 +12,16 @@ import moderngl
 import numpy as np
 import numpy.typing as npt
 
-from scanrender.asset import Asset
+from scanrender.asset import Asset, check_mesh
 from scanrender.optics.kernels import gaussian_taps
 from scanrender.optics.profiles._checks import MIN_LENGTH_MM
 from scanrender.optics.profiles.gaussians import D_EON_SKIN, GaussianSum
 from scanrender.optics.surface import SpecularLobes, rho_dt
-from scanrender.render.camera import Camera, Matrix, rotation_y
+from scanrender.render.camera import Camera, Matrix, bounding_radius_mm, linear_depth, rotation_y
 from scanrender.render.device import Device
 from scanrender.render.environment import Environment
-from scanrender.render.lamps import Lamp, resolve_lights
+from scanrender.render.lamps import Lamp, light_level, resolve_lights
+from scanrender.render.maps import NEUTRAL_MAPS, upload_map
 from scanrender.render.view import TABLE_SIZE, view_table
 from scanrender.settings.light import EnvironmentLight, Follows
 from scanrender.settings.pipeline import Pipeline
@@ -28,13 +30,6 @@ from scanrender.settings.skin import SkinSettings
 RHO_TABLE_SIZE = 64
 RHO_COSINES = (np.arange(RHO_TABLE_SIZE) + 0.5) / RHO_TABLE_SIZE
 SEPARABLE = ("separable_preintegrated", "separable_artistic")
-# What a scan without a map gets. Thickness has no neutral value: plan.py sees to it.
-NEUTRAL_MAPS = {
-    "albedo": (0.5, 0.5, 0.5),
-    "normal_ts": (0.0, 0.0, 1.0),
-    "ao": (1.0,),
-    "skin": (1.0,),
-}
 # How far outside the picture a pixel may be that one of the picture's own is made from, after light
 # has scattered: `reproject` looks 2 px around, in a picture of half the size.
 PICTURE_EDGE_PX = 4
@@ -45,9 +40,9 @@ class Shot:
     """One sample of one frame: matrices (float64, `target_from_source`) and the pixels it fills.
 
     `size` is (width, height) in px with the guard band; `scissor` the (x, y, w, h) in GL's
-    bottom-up pixels that the subject can touch; `near_mm` the least depth it can have. `sample`
-    numbers the supersample, whose place in the pixel is `jitter_px` (right, down); it stands for
-    `footprint_px` of the pixel along each side.
+    bottom-up pixels that the subject can touch; `near_mm` and `far_mm` the least and greatest
+    depth it can have. `sample` numbers the supersample, whose place in the pixel is `jitter_px`
+    (right, down); it stands for `footprint_px` of the pixel along each side.
     """
 
     size: tuple[int, int]
@@ -56,6 +51,7 @@ class Shot:
     world_from_object: Matrix
     clip_from_view: Matrix
     near_mm: float
+    far_mm: float
     working_distance_mm: float
     sample: int
     guard_px: int
@@ -89,6 +85,11 @@ class Shot:
     def is_orthographic(self) -> bool:
         return bool(self.clip_from_view[3, 2] == 0.0)
 
+    @property
+    def linear_depth(self) -> dict[str, tuple[float, float]]:
+        """`depth_range_mm` where the depth buffer is linear."""
+        return linear_depth(self.clip_from_view, self.far_mm)
+
     def px_per_mm(self, depth_mm: float) -> float:
         """Pixels per millimetre at a depth: 0.5 H P11 / z, without /z when orthographic."""
         scale = float(0.5 * self.size[1] * self.clip_from_view[1, 1])
@@ -114,8 +115,11 @@ class Scene:
         self.asset = asset
         self.pipeline = pipeline
         self._like = like
-        self.radius_mm = float(np.linalg.norm(asset.mesh.positions_mm, axis=1).max(initial=1e-3))
+        if like is None:
+            check_mesh(asset.mesh)
+        self.radius_mm = bounding_radius_mm(asset.mesh.positions_mm)
         self.lamps, self.ambient = resolve_lights(pipeline.lights, self.radius_mm)
+        self.light_level = light_level(pipeline.lights)
         self.profile = profile_of(pipeline.skin)
         self.albedo_power = {"pre": 1.0, "mixed": 0.5, "post": 0.0}[pipeline.skin.texturing]
         self.levels = self.profile.merged(pipeline.diffusion.gaussians)
@@ -151,7 +155,9 @@ class Scene:
         """Albedo, normal, AO and skin maps, mipmapped; a neutral texel for a missing one."""
         if self._like is not None:
             return self._like.maps
-        return {name: self._map(name) for name in NEUTRAL_MAPS}
+        return {
+            name: upload_map(self.device, name, self.asset.maps.get(name)) for name in NEUTRAL_MAPS
+        }
 
     def gaussian_taps(self, count: int, size: int) -> bytes:
         """(offset in sigma, weight) of a unit Gaussian by exact cell integrals, as vec2[size]."""
@@ -269,6 +275,7 @@ class Scene:
             world_from_object,
             clip_from_view,
             max(nearest, camera.near_mm),
+            camera.far_mm,
             camera.distance_mm,
             sample,
             guard_px,
@@ -300,7 +307,7 @@ class Scene:
     def data_map(self, name: str) -> moderngl.Texture:
         """`curvature` or `thickness_mm`, uploaded when a pass first asks; 0 where it is missing."""
         if name not in self._data_maps:
-            self._data_maps[name] = self._map(name)
+            self._data_maps[name] = upload_map(self.device, name, self.asset.maps.get(name))
         return self._data_maps[name]
 
     @property
@@ -312,25 +319,17 @@ class Scene:
     @cached_property
     def facet_mm(self) -> float:
         """Standard deviation of the smoothing that triangles do: normals that are linear in one
-        have their curvature averaged over it, a box with a twelfth of its squared side."""
+        have their curvature averaged over it, a box with a twelfth of its squared side.
+
+        A mean over the surface, not over triangles: a few thousand small ones somewhere inside say
+        nothing of those that are seen.
+        """
         corners = self.asset.mesh.positions_mm[self.asset.mesh.faces].astype(np.float64)
         sides = corners - np.roll(corners, 1, axis=1)
-        return float(np.sqrt(np.einsum("fij,fij->fi", sides, sides).mean() / 12.0))
-
-    def _map(self, name: str) -> moderngl.Texture:
-        pixels = self.asset.maps.get(name)
-        if pixels is None:
-            return self.device.table(np.array(NEUTRAL_MAPS.get(name, (0.0,))).reshape(1, 1, -1))
-        height, width, components = pixels.shape
-        # Half floats hold 8-bit sRGB and unit normals to better than their own step.
-        data = np.ascontiguousarray(pixels, dtype=np.float16)
-        texture = self.device.context.texture(
-            (width, height), components, data.tobytes(), dtype="f2", alignment=1
-        )
-        texture.repeat_x = texture.repeat_y = False
-        texture.build_mipmaps()
-        texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
-        return texture
+        areas = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+        squared = np.einsum("fij,fij->fi", sides, sides).mean(axis=1)
+        total = float(areas.sum())
+        return math.sqrt(float(areas @ squared) / total / 12.0) if total > 0.0 else 0.0
 
 
 def profile_of(skin: SkinSettings) -> GaussianSum:

@@ -47,6 +47,13 @@ def switches(scene: Scene) -> tuple[str, ...]:
     return tuple(name for name, used in on.items() if used)
 
 
+def defines(scene: Scene, shot: Shot) -> tuple[str, ...]:
+    """`switches`, and FOLD where the guard band was capped: taps reach past what is rendered."""
+    reach_mm = float(scene.reach_mm.max()) * largest_width_factor(scene)
+    reach_px = reach_mm * shot.px_per_mm(shot.near_mm)
+    return (*switches(scene), *(("FOLD",) if reach_px > shot.guard_px + 1 else ()))
+
+
 def guides(scene: Scene) -> tuple[str, ...]:
     """The buffers that a filter reads beside its source."""
     on = switches(scene)
@@ -93,7 +100,7 @@ def weight_pass(scene: Scene, draws: Callable[[Shot], Iterable[WeightDraw]], nam
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
         device = scene.device
-        program = device.program(name, defines=(*switches(scene), "WEIGHTS"))
+        program = device.program(name, defines=(*defines(scene, shot), "WEIGHTS"))
         device.context.enable(moderngl.BLEND)
         device.context.blend_func = moderngl.ONE, moderngl.ONE
         for step in draws(shot):

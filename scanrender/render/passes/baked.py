@@ -15,12 +15,15 @@ def passes(scene: Scene) -> list[Pass]:
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
-        program = scene.device.program("baked", vertex="mesh")
+        linear = shot.linear_depth
+        defines = ("LINEAR_DEPTH",) if linear else ()
+        program = scene.device.program("baked", vertex="mesh", defines=defines)
         bind(
             program,
             {
                 "view_from_object": shot.view_from_object,
                 "clip_from_view": shot.clip_from_view,
+                **linear,
                 "curvature_map": scene.data_map("curvature"),
                 "thickness_map": scene.data_map("thickness_mm"),
             },

@@ -35,4 +35,5 @@ def passes(scene: Scene) -> list[Pass]:
         )
         scene.device.fill(program)
 
-    return [Pass("compose", tuple(reads), (Buffer("radiance"),), draw, in_picture=True)]
+    radiance = Buffer("radiance", exact=True)
+    return [Pass("compose", tuple(reads), (radiance,), draw, in_picture=True)]

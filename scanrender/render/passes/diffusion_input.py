@@ -27,6 +27,7 @@ def passes(scene: Scene) -> list[Pass]:
                 **shot.screen_uniforms,
                 "albedo_power": scene.albedo_power,
                 "working_distance_mm": shot.working_distance_mm,
+                "farthest_mm": shot.far_mm,
                 "use_skin": scene.uses_skin_map,
                 "use_jacobian": by_area,
             },

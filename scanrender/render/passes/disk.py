@@ -13,7 +13,7 @@ from scanrender.optics.kernels import DiskTaps, disk_taps
 from scanrender.optics.profiles import GaussianSum
 from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
-from scanrender.render.passes._scatter import WeightDraw, guides, switches, uniforms, weight_pass
+from scanrender.render.passes._scatter import WeightDraw, defines, guides, uniforms, weight_pass
 from scanrender.render.scene import Scene, Shot
 
 TABLE_TEXELS = 1024
@@ -50,7 +50,7 @@ def passes(scene: Scene) -> list[Pass]:
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
-        program = scene.device.program("disk", defines=switches(scene))
+        program = scene.device.program("disk", defines=defines(scene, shot))
         shared = uniforms(scene, shot, inputs, "diffusion_input", (1, 0))
         bind(program, {**shared, **given(shot)})
         scene.device.fill(program)

@@ -10,6 +10,8 @@ from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
 from scanrender.render.scene import Scene, Shot
 
+# With `cbf` it grows with the square of the distance: past what half floats hold at 250 m.
+GUIDE = Buffer("edge_guide", components=1, exact=True)
 READS = ("position", "normal_geometry", "albedo")
 
 
@@ -23,4 +25,4 @@ def passes(scene: Scene) -> list[Pass]:
         bind(program, {**inputs, **shot.screen_uniforms})
         scene.device.fill(program)
 
-    return [Pass("edge_guide", READS, (Buffer("edge_guide", components=1),), draw)]
+    return [Pass("edge_guide", READS, (GUIDE,), draw)]

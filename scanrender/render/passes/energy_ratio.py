@@ -10,6 +10,9 @@ from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
 from scanrender.render.scene import Scene, Shot
 
+# Of all light: darker than this, a shadow's core has no light of its own to be compared with.
+LEAST_SHARE = 1e-4
+
 
 def passes(scene: Scene) -> list[Pass]:
     if scene.pipeline.diffusion.method == "none":
@@ -19,7 +22,7 @@ def passes(scene: Scene) -> list[Pass]:
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
         program = scene.device.program("energy_ratio")
-        bind(program, inputs)
+        bind(program, {**inputs, "least_light": LEAST_SHARE * scene.light_level})
         scene.device.fill(program)
 
     reads = ("scattered", "diffusion_input")

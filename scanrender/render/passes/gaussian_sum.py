@@ -17,10 +17,10 @@ from scanrender.render.passes._scatter import (
     DIRECTIONS,
     MAX_TAPS,
     WeightDraw,
+    defines,
     guides,
     largest_width_factor,
     sample_shift_px,
-    switches,
     uniforms,
     weight_pass,
 )
@@ -68,7 +68,7 @@ def _direction(
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
-        program = scene.device.program("gaussian_sum", defines=switches(scene))
+        program = scene.device.program("gaussian_sum", defines=defines(scene, shot))
         is_direct = level == 0 or level_is_narrow(scene, shot, level)
         blurred = "diffusion_input" if is_direct and direction == (1, 0) else source
         bind(

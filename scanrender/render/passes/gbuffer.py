@@ -29,13 +29,16 @@ def passes(scene: Scene) -> list[Pass]:
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
-        program = scene.device.program("gbuffer", vertex="mesh")
+        linear = shot.linear_depth
+        defines = ("LINEAR_DEPTH",) if linear else ()
+        program = scene.device.program("gbuffer", vertex="mesh", defines=defines)
         maps = scene.maps
         bind(
             program,
             {
                 "view_from_object": shot.view_from_object,
                 "clip_from_view": shot.clip_from_view,
+                **linear,
                 **shot.screen_uniforms,
                 "albedo_map": maps["albedo"],
                 "normal_map": maps["normal_ts"],

@@ -10,6 +10,8 @@ from scanrender.render.device import bind
 from scanrender.render.graph import Buffer, Pass
 from scanrender.render.scene import Scene, Shot
 
+# As the square of the depth: a surface behind the subject can pass what half floats hold.
+AREA = Buffer("jacobian", components=1, exact=True)
 READS = ("position", "normal_geometry")
 
 
@@ -24,4 +26,4 @@ def passes(scene: Scene) -> list[Pass]:
         )
         scene.device.fill(program)
 
-    return [Pass("jacobian", READS, (Buffer("jacobian", components=1),), draw)]
+    return [Pass("jacobian", READS, (AREA,), draw)]

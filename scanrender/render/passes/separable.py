@@ -21,9 +21,9 @@ from scanrender.render.passes._scatter import (
     DIRECTIONS,
     MAX_TAPS,
     WeightDraw,
+    defines,
     guides,
     largest_width_factor,
-    switches,
     uniforms,
     weight_pass,
 )
@@ -38,7 +38,7 @@ def passes(scene: Scene) -> list[Pass]:
     half = (0.5, 0.5, 0.5)
 
     def draws(shot: Shot) -> Iterable[WeightDraw]:
-        program = scene.device.program("separable", defines=(*switches(scene), "WEIGHTS"))
+        program = scene.device.program("separable", defines=(*defines(scene, shot), "WEIGHTS"))
         taps = tap_uniforms(scene, shot, program)
         return [WeightDraw(direction, taps, half, 0.5) for direction in DIRECTIONS]
 
@@ -53,7 +53,7 @@ def _direction(scene: Scene, source: str, written: str, direction: tuple[int, in
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
-        program = scene.device.program("separable", defines=switches(scene))
+        program = scene.device.program("separable", defines=defines(scene, shot))
         bind(
             program,
             {

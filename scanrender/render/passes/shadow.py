@@ -24,8 +24,10 @@ def _shadow(scene: Scene, lamp: Lamp) -> Pass:
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
-        program = scene.device.program("shadow", vertex="shadow")
-        bind(program, _uniforms(lamp, shot))
+        linear = lamp.linear_depth
+        defines = ("LINEAR_DEPTH",) if linear else ()
+        program = scene.device.program("shadow", vertex="shadow", defines=defines)
+        bind(program, {**_uniforms(lamp, shot), **linear})
         scene.draw_mesh(program)
 
     buffer = Buffer(f"shadow_{lamp.index}", components=1, size=(side, side), clear=far, exact=True)

@@ -20,6 +20,8 @@ from scanrender.render.passes._lamp import (
 from scanrender.render.scene import Scene, Shot
 
 SURFACE = ("position", "normal_geometry", "normal_shading")
+# A grazing mirror of a narrow lobe reflects ten thousand times what a white wall does.
+HIGHLIGHTS = Buffer("specular", exact=True)
 
 
 def passes(scene: Scene) -> list[Pass]:
@@ -66,7 +68,7 @@ def passes(scene: Scene) -> list[Pass]:
             device.fill(program)
 
     reads = (*surface, *shadowed)
-    return [Pass("specular", reads, (Buffer("specular"),), draw, in_picture=True)]
+    return [Pass("specular", reads, (HIGHLIGHTS,), draw, in_picture=True)]
 
 
 def _material(scene: Scene) -> dict[str, Any]:

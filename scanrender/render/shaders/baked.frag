@@ -2,6 +2,8 @@
 // baked: mesh + data maps -> _baked (r: mean curvature 1/mm; g: thickness mm; a = coverage).
 // Seen through the same camera as gbuffer, for the settings that take these from the asset rather than
 // from the picture. Check alone: `curvature` with source: baked has no lines along silhouettes.
+#include "linear_depth.glsl"
+in vec3 v_position;
 in vec2 v_uv;
 uniform sampler2D curvature_map;
 uniform sampler2D thickness_map;
@@ -10,4 +12,5 @@ layout(location = 0) out vec4 baked;
 
 void main() {
     baked = vec4(texture(curvature_map, v_uv).r, max(texture(thickness_map, v_uv).r, 0.0), 0.0, 1.0);
+    write_depth(-v_position.z);
 }

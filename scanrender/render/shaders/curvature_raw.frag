@@ -41,8 +41,8 @@ void main() {
     vec3 b = cross(n, t);
     mat2 e = mat2(dot(dp1, t), dot(dp1, b), dot(dp2, t), dot(dp2, b));
     mat2 d = mat2(dot(dn1, t), dot(dn1, b), dot(dn2, t), dot(dn2, b));
-    float det = determinant(e);
-    if (abs(det) < 1e-12) return;
+    // Both neighbours in one line tell nothing across it; whatever the unit, hence relative.
+    if (abs(determinant(e)) <= 1e-6 * (dot(e[0], e[0]) + dot(e[1], e[1]))) return;
     mat2 s = d * inverse(e);
     curvature_raw = clamp(0.5 * (s[0][0] + s[1][1]), -limit_per_mm, limit_per_mm);
 }

@@ -14,6 +14,7 @@ uniform sampler2D skin;
 uniform sampler2D jacobian;
 uniform sampler2D depth_mm;
 uniform float working_distance_mm;
+uniform float farthest_mm;    // of the subject
 uniform float albedo_power;
 uniform bool use_skin;
 uniform bool use_jacobian;
@@ -32,7 +33,9 @@ void main() {
     mask = max(mask, 1e-4);
     if (use_jacobian) {
         float row = px_per_mm(texelFetch(depth_mm, here, 0).r) / px_per_mm(working_distance_mm);
-        mask *= texelFetch(jacobian, here, 0).r * row;
+        // Any unit of area would do: in that of the farthest pixel no mask is beyond half floats.
+        float unit = px_per_mm(farthest_mm) / px_per_mm(working_distance_mm);
+        mask *= texelFetch(jacobian, here, 0).r * row * unit;
     }
     diffusion_input = vec4(light * mask, mask);
 }

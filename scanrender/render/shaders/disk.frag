@@ -63,7 +63,8 @@ void main() {
         angle = vec2(angle.x * turned.x - angle.y * turned.y, angle.x * turned.y + angle.y * turned.x);
         float r2 = tap.a * factor;
         vec3 on_plane = centre_point + r2 * (angle.x * t + angle.y * b);
-        ivec2 texel = inside(ivec2(floor(pixel_of(on_plane) + place.zw)));
+        vec2 at = clamp(pixel_of(on_plane) + place.zw, -FARTHEST_PX, FARTHEST_PX);
+        ivec2 texel = inside(ivec2(floor(at)));
         float z = texelFetch(depth_mm, texel, 0).r;
         vec4 light = texelFetch(source, texel, 0);
         vec3 ratio = vec3(0.0);

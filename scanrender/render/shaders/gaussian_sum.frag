@@ -33,7 +33,10 @@ void main() {
     stretch = stretch2();
 #endif
     float sigma_px = sqrt(v_px / stretch);
-    if (sigma_px <= narrow_px) {
+    // Far off the axis of a wide lens a surface is nearer than it is deep: stretch < 1, and what is
+    // wide on screen may be no pixel wide facing. The taps below would then ask for less than no variance.
+    if (min(sigma_px, sqrt(v_px)) <= narrow_px) {
+        sigma_px = min(sigma_px, narrow_px);
         float step_mm2 = mm_per_px * mm_per_px * stretch;
         // A pixel is no point: its own variance counts with the Gaussian's.
         float falloff = 0.5 / (v + step_mm2 / 6.0);

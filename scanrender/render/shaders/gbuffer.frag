@@ -2,6 +2,7 @@
 // gbuffer: mesh + maps -> position (view, mm; a = coverage), normal_geometry, normal_shading
 // (view, unit), albedo (lin_rec709_scene; a = 1), depth_mm, skin, ao.
 // Check alone: normal_geometry must show no pores, normal_shading must.
+#include "linear_depth.glsl"
 #include "screen.glsl"
 in vec3 v_position;
 in vec3 v_normal;
@@ -49,6 +50,7 @@ void main() {
     skin = clamp(texture(skin_map, v_uv, lod_bias).r, 0.0, 1.0);
     ao = clamp(texture(ao_map, v_uv, lod_bias).r, 0.0, 1.0);
     depth_mm = -v_position.z;
+    write_depth(depth_mm);
     if (!gl_FrontFacing) {
         albedo.rgb = inside_albedo;
         skin = 0.0;

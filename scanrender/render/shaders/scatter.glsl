@@ -9,6 +9,9 @@
 //   CURVATURE     the kernel's width depends on the curvature
 //   JITTER        taps move inside their cells, by pixel and sample index only
 //   MISSING_MASS  what the picture hides is not made up for: sums are left as they are
+//   FOLD          the kernel reaches past the picture, guard band and all: what lies there is taken to be
+//                 as what lies inside, mirrored at the edge. The last pixel in its place would be
+//                 dragged along rows and columns; a kernel wider than all of it would be lost.
 //   WEIGHTS       weight_sum and rejected are written instead of light
 // Sums are normalized by the mask that was met, and premultiplied again by the pixel's own.
 #include "screen.glsl"
@@ -44,6 +47,9 @@ uniform float rejected_share;
 #else
 layout(location = 0) out vec4 scattered;
 #endif
+
+// Beyond any picture; what lies much further does not fit an int.
+const float FARTHEST_PX = 1048576.0;
 
 ivec2 here = ivec2(gl_FragCoord.xy);
 ivec2 last = textureSize(depth_mm, 0) - 1;
@@ -131,7 +137,14 @@ float noise() {
 #endif
 }
 
-ivec2 inside(ivec2 texel) { return clamp(texel, ivec2(0), last); }
+ivec2 inside(ivec2 texel) {
+#ifdef FOLD
+    vec2 size = vec2(last + 1);
+    vec2 at = mod(abs(vec2(texel) + 0.5), 2.0 * size);
+    texel = ivec2(min(at, 2.0 * size - at));
+#endif
+    return clamp(texel, ivec2(0), last);
+}
 
 // Squared distance in mm that the pixel `steps` away has beyond `flat_mm2`.
 float beyond_mm2(ivec2 texel, float steps, float flat_mm2) {
@@ -187,8 +200,15 @@ void add(WEIGHT k, vec4 tap, WEIGHT near, float guided) {
 
 // The pixel `steps` away along the direction; `step_mm2` is the squared length of one step.
 void add_at(WEIGHT k, int steps, float step_mm2, WEIGHT falloff) {
-    ivec2 texel = inside(here + steps * ivec2(direction));
-    float beyond = beyond_mm2(texel, float(steps), float(steps * steps) * step_mm2);
+    ivec2 straight = here + steps * ivec2(direction);
+    ivec2 texel = inside(straight);
+    float flat_mm2 = float(steps) * float(steps) * step_mm2;
+#ifdef FOLD
+    // Of a surface that is not known nothing is told but that it goes on.
+    float beyond = texel == straight ? beyond_mm2(texel, float(steps), flat_mm2) : 0.0;
+#else
+    float beyond = beyond_mm2(texel, float(steps), flat_mm2);
+#endif
     // Nearer than a flat step: perspective, or skin that bends toward the eye. Never for long.
     WEIGHT near = min(exp(-beyond * falloff), WEIGHT(4.0));
     add(k, texelFetch(source, texel, 0), near, guide(texel));
@@ -196,6 +216,7 @@ void add_at(WEIGHT k, int steps, float step_mm2, WEIGHT falloff) {
 
 // A tap between two pixels: each by its own depth and guide, so that nothing crosses with a filter.
 void add_between(WEIGHT k, float offset_px, float step_mm2, WEIGHT falloff) {
+    offset_px = clamp(offset_px, -FARTHEST_PX, FARTHEST_PX);
     float low = floor(offset_px);
     float share = offset_px - low;
     add_at(k * (1.0 - share), int(low), step_mm2, falloff);
