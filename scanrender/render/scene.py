@@ -30,6 +30,7 @@ from scanrender.settings.skin import SkinSettings
 RHO_TABLE_SIZE = 64
 RHO_COSINES = (np.arange(RHO_TABLE_SIZE) + 0.5) / RHO_TABLE_SIZE
 SEPARABLE = ("separable_preintegrated", "separable_artistic")
+CRUMB = 0.01  # of the mean area of triangles
 # How far outside the picture a pixel may be that one of the picture's own is made from, after light
 # has scattered: `reproject` looks 2 px around, in a picture of half the size.
 PICTURE_EDGE_PX = 4
@@ -321,15 +322,16 @@ class Scene:
         """Standard deviation of the smoothing that triangles do: normals that are linear in one
         have their curvature averaged over it, a box with a twelfth of its squared side.
 
-        A mean over the surface, not over triangles: a few thousand small ones somewhere inside say
-        nothing of those that are seen.
+        A mean over triangles, which are finer where there is detail: over the surface, a bust's wide
+        shoulders spoke for its face. But not over crumbs: a few thousand somewhere inside say
+        nothing of what is seen.
         """
         corners = self.asset.mesh.positions_mm[self.asset.mesh.faces].astype(np.float64)
         sides = corners - np.roll(corners, 1, axis=1)
         areas = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-        squared = np.einsum("fij,fij->fi", sides, sides).mean(axis=1)
-        total = float(areas.sum())
-        return math.sqrt(float(areas @ squared) / total / 12.0) if total > 0.0 else 0.0
+        counts = areas > CRUMB * areas.mean() if len(areas) else areas > 0.0
+        squared = np.einsum("fij,fij->fi", sides, sides).mean(axis=1)[counts]
+        return math.sqrt(float(squared.mean()) / 12.0) if len(squared) else 0.0
 
 
 def profile_of(skin: SkinSettings) -> GaussianSum:
