@@ -53,13 +53,14 @@ class Renderer:
         _check_size(pipeline, device.most_px)
         self.pipeline, self.decisions = plan(pipeline, asset.maps)
         self.scene = Scene(device, asset, self.pipeline, None if like is None else like.scene)
+        self.camera = self._camera() if like is None else like._camera_for(self.pipeline)
+        self.scene.nearest_px_per_mm = self.camera.px_per_mm(self.camera.near_mm)
         check = check_pass if self.pipeline.quality.check else None
         self.graph = Graph(all_passes(self.scene), self.scene.dtype, check)
         self.pool = TexturePool(device) if like is None else like.pool
         self.supersampler = Supersampler(device, self.pool, self.scene, self.graph, check)
         self.decisions += _map_decisions(asset) if like is None else []
         self.decisions += _light_decisions(self.scene) + _curvature_decisions(self.scene)
-        self.camera = self._camera() if like is None else like._camera_for(self.pipeline)
         self.guard_px = self._guard_px()
 
     def show_window(self, shares: tuple[float, float, float, float]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import moderngl
@@ -134,6 +134,8 @@ class Scene:
             self._vertices = device.context.buffer(_interleaved(asset).tobytes())
         else:
             self._index, self._vertices = like._index, like._vertices
+        # How close the camera comes to anything: the renderer knows.
+        self.nearest_px_per_mm = 0.0
         self._tap_blocks: dict[int, moderngl.Buffer] = {}
         self._data_maps: dict[str, moderngl.Texture] = {} if like is None else like._data_maps
         self._arrays: dict[str, moderngl.VertexArray] = {}
@@ -211,8 +213,8 @@ class Scene:
         """
         lobes = self._lobes
         parts = np.stack([
-            lobes.mix * rho_dt(RHO_COSINES, lobes.m_first, lobes.f0),
-            (1.0 - lobes.mix) * rho_dt(RHO_COSINES, lobes.m_second, lobes.f0),
+            lobes.mix * _reflected(lobes.m_first, lobes.f0),
+            (1.0 - lobes.mix) * _reflected(lobes.m_second, lobes.f0),
         ], axis=-1)  # fmt: skip
         total = np.maximum(parts.sum(axis=-1, keepdims=True), 1e-12)
         return self.device.table((parts / total * self._rho[:, None])[None], linear=True)
@@ -220,7 +222,9 @@ class Scene:
     @cached_property
     def _rho(self) -> npt.NDArray[np.float64]:
         strength = self.pipeline.skin.specular.strength
-        return np.clip(strength * self._lobes.directional_albedo(RHO_COSINES), 0.0, 1.0)
+        lobes = self._lobes
+        first, second = (_reflected(m, lobes.f0) for m in (lobes.m_first, lobes.m_second))
+        return np.clip(strength * (lobes.mix * first + (1.0 - lobes.mix) * second), 0.0, 1.0)
 
     @cached_property
     def directional_albedo(self) -> moderngl.Texture:
@@ -332,6 +336,14 @@ class Scene:
         counts = areas > CRUMB * areas.mean() if len(areas) else areas > 0.0
         squared = np.einsum("fij,fij->fi", sides, sides).mean(axis=1)[counts]
         return math.sqrt(float(squared.mean()) / 12.0) if len(squared) else 0.0
+
+
+@lru_cache(maxsize=64)
+def _reflected(m: float, f0: float) -> npt.NDArray[np.float64]:
+    """`rho_dt` at RHO_COSINES, once a process: most of what a renderer of a small picture costs."""
+    found = rho_dt(RHO_COSINES, m, f0)
+    found.flags.writeable = False
+    return found
 
 
 def profile_of(skin: SkinSettings) -> GaussianSum:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -28,6 +29,11 @@ from scanrender.render.scene import Scene, Shot
 
 # A Gaussian is empty beyond this many sigma (0.3 % of it).
 REACH_SIGMA = 3.0
+# Taps, over this, are how many times wider than what it blurs a Gaussian may be; no fewer times
+# than LEAST_STEP, which the levels of the measured skin stay below.
+GAPLESS_TAPS = 3.5
+LEAST_STEP = 2.6
+DIRECT = "diffusion_input"
 # Whole-pixel taps up to this sigma, at any number of samples up to the lesser one.
 TABLE_PX = 4.0
 NARROW_PX = 0.75
@@ -49,38 +55,80 @@ def narrow_taps(samples: int) -> tuple[int, float]:
     return radius, min(TABLE_PX, max(NARROW_PX, (radius - 1) / REACH_SIGMA))
 
 
+@dataclass(frozen=True)
+class Blur:
+    """One Gaussian of the chain: it blurs `source`, which has `before_mm2` of variance already, to
+    `variance_mm2`, along rows into `between` and then along columns into `written`."""
+
+    source: str
+    between: str
+    written: str
+    variance_mm2: float
+    before_mm2: float
+
+    def is_direct(self, scene: Scene, shot: Shot) -> bool:
+        """Whether it blurs the light itself: the first one, and those that whole pixels hold."""
+        return self.before_mm2 == 0.0 or is_narrow(scene, shot, self.variance_mm2)
+
+    def uniforms(self, scene: Scene, shot: Shot, direction: tuple[int, int]) -> dict[str, Any]:
+        is_direct = self.is_direct(scene, shot)
+        done = 0.0 if is_direct else self.before_mm2
+        return level_uniforms(scene, shot, direction, self.variance_mm2 - done, is_direct)
+
+
+def blurs(scene: Scene) -> list[Blur]:
+    """The profile's levels in order, and before or between them what closes the gaps of their taps.
+
+    Taps of a Gaussian many times wider than what it blurs lie far apart, and show as many copies
+    of every edge. Steps in between have taps no further apart than 1.7 sigmas of what is blurred,
+    where copies are 0.2 % high. A profile on a surface that is not very near needs none.
+    """
+    px_per_mm = scene.nearest_px_per_mm * largest_width_factor(scene)
+    widest = max(scene.pipeline.diffusion.samples / GAPLESS_TAPS, LEAST_STEP)
+    found: list[Blur] = []
+    source, done = "diffusion_input", 0.0
+    last = len(scene.levels.variances_mm2) - 1
+    for level, variance in enumerate(scene.levels.variances_mm2):
+        while math.sqrt(variance - done) * px_per_mm > (
+            step_px := widest * max(math.sqrt(done) * px_per_mm, 1.0)
+        ):
+            name, total = f"_before_{len(found)}", done + (step_px / px_per_mm) ** 2
+            found.append(Blur(source, f"{name}_horizontal", name, total, done))
+            source, done = name, total
+        between = "diffuse_horizontal" if level == last else f"_horizontal_{level}"
+        found.append(Blur(source, between, f"gaussian_{level}", variance, done))
+        source, done = f"gaussian_{level}", variance
+    return found
+
+
 def passes(scene: Scene) -> list[Pass]:
     if scene.pipeline.diffusion.method != "gaussian_sum":
         return []
     found = [weight_pass(scene, lambda shot: _weight_draws(scene, shot), "gaussian_sum")]
-    count = len(scene.levels.variances_mm2)
-    for level in range(count):
-        source = "diffusion_input" if level == 0 else f"gaussian_{level - 1}"
-        between = "diffuse_horizontal" if level == count - 1 else f"_horizontal_{level}"
-        found.append(_direction(scene, source, between, (1, 0), level))
-        found.append(_direction(scene, between, f"gaussian_{level}", (0, 1), level))
+    for blur in blurs(scene):
+        found.append(_direction(scene, blur, blur.source, blur.between, (1, 0)))
+        found.append(_direction(scene, blur, blur.between, blur.written, (0, 1)))
     return found
 
 
 def _direction(
-    scene: Scene, source: str, written: str, direction: tuple[int, int], level: int
+    scene: Scene, blur: Blur, source: str, written: str, direction: tuple[int, int]
 ) -> Pass:
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
     ) -> None:
         program = scene.device.program("gaussian_sum", defines=defines(scene, shot))
-        is_direct = level == 0 or level_is_narrow(scene, shot, level)
-        blurred = "diffusion_input" if is_direct and direction == (1, 0) else source
+        is_first = direction == (1, 0) and blur.is_direct(scene, shot)
         bind(
             program,
             {
-                **uniforms(scene, shot, inputs, blurred, direction),
-                **level_uniforms(scene, shot, direction, level, is_direct),
+                **uniforms(scene, shot, inputs, DIRECT if is_first else source, direction),
+                **blur.uniforms(scene, shot, direction),
             },
         )
         scene.device.fill(program)
 
-    first = ("diffusion_input",) if direction == (1, 0) else ()
+    first = (DIRECT,) if direction == (1, 0) else ()
     reads = tuple(dict.fromkeys((source, *first, *guides(scene))))
     return Pass(written.lstrip("_"), reads, (Buffer(written),), draw)
 
@@ -88,20 +136,19 @@ def _direction(
 def _weight_draws(scene: Scene, shot: Shot) -> Iterator[WeightDraw]:
     """Each level in both directions, by its weight in the sum."""
     weights = scene.levels.weights
-    for level, (r, g, b) in enumerate(weights):
-        is_direct = level == 0 or level_is_narrow(scene, shot, level)
+    levels = [blur for blur in blurs(scene) if not blur.written.startswith("_")]
+    for blur, (r, g, b) in zip(levels, weights, strict=True):
         for direction in DIRECTIONS:
-            taps = level_uniforms(scene, shot, direction, level, is_direct)
+            taps = blur.uniforms(scene, shot, direction)
             yield WeightDraw(direction, taps, (r / 2, g / 2, b / 2), 0.5 / len(weights))
 
 
-def level_is_narrow(scene: Scene, shot: Shot, level: int) -> bool:
-    """Whether whole-pixel taps hold all of this level's variance, so that it needs no other level.
+def is_narrow(scene: Scene, shot: Shot, variance_mm2: float) -> bool:
+    """Whether whole-pixel taps hold all of this variance, so that it needs no other level.
 
     Blurs below a pixel do not add up: each would have to know how the last one met the pixels.
     """
-    sigma_mm = math.sqrt(scene.levels.variances_mm2[level])
-    widest_px = _widest_px(scene, shot, sigma_mm)
+    widest_px = _widest_px(scene, shot, math.sqrt(variance_mm2))
     return widest_px <= narrow_taps(scene.pipeline.diffusion.samples)[1]
 
 
@@ -110,17 +157,14 @@ def _widest_px(scene: Scene, shot: Shot, sigma_mm: float) -> float:
 
 
 def level_uniforms(
-    scene: Scene, shot: Shot, direction: tuple[int, int], level: int, is_direct: bool
+    scene: Scene, shot: Shot, direction: tuple[int, int], variance_mm2: float, is_direct: bool
 ) -> dict[str, Any]:
-    """Taps of one level along `direction`.
+    """Taps that add a variance along `direction`.
 
     A direct level turns samples into what the pixel's footprint sees; the others blur a level.
     """
     samples = scene.pipeline.diffusion.samples
-    variance = scene.levels.variances_mm2[level]
-    if not is_direct:
-        variance = float(scene.levels.increments_mm2()[level])
-    sigma_mm = math.sqrt(variance)
+    sigma_mm = math.sqrt(variance_mm2)
     widest_px = _widest_px(scene, shot, sigma_mm)
     radius, narrow_px = narrow_taps(samples)
     radius = max(1, min(radius, math.ceil(REACH_SIGMA * min(widest_px, narrow_px)) + 1))

@@ -13,6 +13,7 @@ from scanrender.render.graph import Buffer, Pass
 from scanrender.render.lamps import Lamp
 from scanrender.render.passes._lamp import shadow_uniforms
 from scanrender.render.passes._scatter import width_by_curvature
+from scanrender.render.passes.visibility import MAX_PENUMBRA
 from scanrender.render.scene import Scene, Shot
 
 # Taps that average T(d), a pixel, lamp and supersample.
@@ -108,7 +109,7 @@ def _material(scene: Scene) -> dict[str, Any]:
     transmission = scene.pipeline.skin.transmission
     return {
         "bias_mm": transmission.bias_mm,
-        "blur_mm": transmission.blur_mm,
+        "blur_mm": min(transmission.blur_mm, MAX_PENUMBRA * scene.radius_mm),
         "wrap": transmission.wrap,
         "use_skin": scene.uses_skin_map,
         "tap_count": TAPS,

@@ -12,7 +12,8 @@ from scanrender.render.lamps import Lamp
 from scanrender.render.passes._lamp import DISK_TAPS, shadow_uniforms
 from scanrender.render.scene import Scene, Shot
 
-# Widest penumbra that is looked for, as a share of the subject's bounding radius.
+# Widest penumbra that is looked for, as a share of the subject's bounding radius: taps spread wider
+# than that would miss the subject.
 MAX_PENUMBRA = 0.3
 # Half as many miss what covers less than a fifth of the light, and its shadow ends in a step.
 SEARCH_TAPS = 32
@@ -38,7 +39,7 @@ def _visibility(scene: Scene, lamp: Lamp) -> Pass:
                 "normal_shading": inputs["normal_shading"],
                 "light_size": lamp.size,
                 "reach_mm": MAX_PENUMBRA * scene.radius_mm,
-                "blur_mm": lamp.settings.shadow_blur_mm,
+                "blur_mm": min(lamp.settings.shadow_blur_mm, MAX_PENUMBRA * scene.radius_mm),
                 "taps": DISK_TAPS,
                 "search_taps": SEARCH_TAPS,
             },

@@ -26,11 +26,11 @@ uniform float strength;
 
 layout(location = 0) out vec4 specular;
 
-// Beckmann & Spizzichino 1963, times pi: exp(-tan^2 / m^2) / (m^2 cos^4).
-float beckmann_pi(float cosine, float m) {
-    float c2 = max(cosine * cosine, 1e-4);
+// Beckmann & Spizzichino 1963, times pi: exp(-tan^2 / m^2) / (m^2 cos^4), over cos^2 and sin^2: of a
+// narrow lobe 1 - cos^2 would be left with no digits where it peaks.
+float beckmann_pi(float c2, float s2, float m) {
     float m2 = m * m;
-    return exp((c2 - 1.0) / (c2 * m2)) / (m2 * c2 * c2);
+    return exp(-s2 / (c2 * m2)) / (m2 * c2 * c2);
 }
 
 // Share of a cone of half angle `lobe` that lies in the cone `open` around the normal, `apart` from
@@ -92,7 +92,10 @@ void main() {
     if (hh < 1e-4) return;  // light straight behind the surface point: nothing is reflected
     vec3 half_vector = h * inversesqrt(hh);
     float nh = max(dot(n, half_vector), 0.0);
-    float d = mix(beckmann_pi(nh, roughness.x), beckmann_pi(nh, roughness.y), second_lobe);
+    float c2 = max(nh * nh, 1e-4);
+    vec3 across = cross(n, half_vector);
+    float s2 = nh > 0.0 ? dot(across, across) : 1.0;
+    float d = mix(beckmann_pi(c2, s2, roughness.x), beckmann_pi(c2, s2, roughness.y), second_lobe);
     float fresnel = f0 + (1.0 - f0) * pow(1.0 - clamp(dot(half_vector, v), 0.0, 1.0), 5.0);
     float f_pi = strength * d * fresnel / hh;
     specular = vec4(incident_irradiance(p.xyz) * (cosine * seen * f_pi), 0.0);
