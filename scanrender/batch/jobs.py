@@ -11,6 +11,7 @@ from pathlib import Path
 
 from scanrender.batch.identity import scan_ids
 from scanrender.batch.keys import Recipe
+from scanrender.batch.needed import with_needed_maps
 from scanrender.batch.record import digest
 from scanrender.batch.stages import is_asset, stages_for
 from scanrender.errors import UsageError
@@ -93,7 +94,7 @@ def single_job(
     """The job of one scan whose results go straight into `folder`."""
     asset = scan if is_asset(scan) else folder / ASSET
     frames = None if part is None else tuple(part)
-    return Job(scan, scan.stem, Recipe(pipeline), folder, asset, frames)
+    return Job(scan, scan.stem, Recipe(with_needed_maps([pipeline])[0]), folder, asset, frames)
 
 
 def make_jobs(
@@ -112,7 +113,9 @@ def make_jobs(
     real = Counter(os.path.realpath(scan) for scan in scans)
     if twice := next((path for path, count in real.items() if count > 1), None):
         raise UsageError(f"the same scan is named twice: {twice}")
-    recipes = [(v.name, Recipe(v.pipeline)) for v in variants(pipeline, source)]
+    made = variants(pipeline, source)
+    needed = with_needed_maps([v.pipeline for v in made])
+    recipes = [(v.name, Recipe(each)) for v, each in zip(made, needed, strict=True)]
     shares: dict[str, str] = {}
     for name, recipe in recipes:
         shares.setdefault(digest(recipe.prep), name)

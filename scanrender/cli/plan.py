@@ -44,6 +44,7 @@ def command(
     """
     from scanrender.asset import is_asset, load_asset
     from scanrender.batch.job import RENDERED_MAPS
+    from scanrender.batch.needed import unread_maps, with_needed_maps
     from scanrender.batch.shot import as_data
     from scanrender.errors import ScanrenderError
     from scanrender.render.device import device
@@ -54,7 +55,7 @@ def command(
     def say(text: str) -> None:
         click.echo(text, err=True)
 
-    settings = load_pipeline(pipeline, overrides)
+    settings = with_needed_maps([load_pipeline(pipeline, overrides)])[0]
     options.existing(scan, "scan")
     gl = device()
     if not is_asset(scan):
@@ -74,12 +75,13 @@ def command(
     if explain:
         for file in _heat_maps(out, found):
             say(str(file))
+    decisions = [*renderer.decisions, *unread_maps(settings)]
     if as_json:
-        not_run = [{"what": d.what, "reason": d.reason} for d in renderer.decisions]
+        not_run = [{"what": d.what, "reason": d.reason} for d in decisions]
         click.echo(json.dumps({**as_data(found), "not_run": not_run}, indent=2))
         return
-    for decision in renderer.decisions:
-        click.echo(f"not run: {decision.what}: {decision.reason}")
+    for decision in decisions:
+        click.echo(f"not needed: {decision.what}: {decision.reason}")
     for finding in found.findings:
         click.echo(f"{'left out' if finding.is_left_out else 'kept'}: {finding.what}: "
                    f"{finding.sentence}")  # fmt: skip

@@ -17,6 +17,7 @@ from scanrender.settings.shot import CameraSettings
 
 Matrix = npt.NDArray[np.float64]
 SENSOR_HEIGHT_MM = 24.0
+PERSON_MM = 250.0  # from the middle of a head and shoulders to what stands out most
 # Far over near plane beyond which the depth buffer holds depth itself, not its reciprocal: 24 bits of
 # that are then coarser than a thousandth of the depth, and what lies behind comes through.
 LINEAR_DEPTH_FROM = 1e4
@@ -241,3 +242,15 @@ def rotation_x(degrees: float) -> Matrix:
 def _cos_sin(degrees: float) -> tuple[float, float]:
     angle = np.deg2rad(degrees)
     return float(np.cos(angle)), float(np.sin(angle))
+
+
+def finest_px_per_mm(settings: CameraSettings) -> float | None:
+    """Pixels per mm where a subject of a person's size comes closest, None where only the subject
+    tells: without `height_mm`, or from so near that its depth decides."""
+    if settings.height_mm is None:
+        return None
+    at_centre = settings.height_px / settings.height_mm
+    if settings.projection == "orthographic":
+        return at_centre
+    distance = settings.height_mm * settings.focal_mm / SENSOR_HEIGHT_MM
+    return at_centre * distance / (distance - PERSON_MM) if distance > 2.0 * PERSON_MM else None

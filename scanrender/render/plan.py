@@ -137,3 +137,18 @@ def _with_curvature_that_can_be(
         decisions.append(Decision("curvature.source: baked", reason))
         updates["source"] = "screen"
     return pipeline.model_copy(update={"curvature": curvature.model_copy(update=updates)})
+
+
+def maps_read(pipeline: Pipeline) -> dict[str, str]:
+    """The maps that some pass of this shot reads, each with the pass that does."""
+    planned, _ = plan(pipeline)
+    read = {"albedo": "gbuffer", "normal_ts": "gbuffer", "skin": "gbuffer"}
+    if any(not isinstance(light, LampSettings) for light in planned.lights):
+        read["ao"] = "irradiance, specular"
+    # Where the screen's curvature is used, the map still tells how smooth it has to be.
+    if planned.curvature.modulation != "none":
+        read["curvature"] = "curvature"
+    if planned.skin.transmission.method == "baked":
+        read["thickness_mm"] = "transmission"
+    dumped = {"ao", "thickness_mm", "curvature"} & set(pipeline.outputs.buffers)
+    return read | {name: "a buffer that is asked for" for name in sorted(dumped - read.keys())}

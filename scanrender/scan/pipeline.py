@@ -36,6 +36,7 @@ from scanrender.scan.lost import surface_distance
 from scanrender.scan.mend import plain_surface
 from scanrender.scan.meshlab import count_self_intersections
 from scanrender.scan.neck import close_neck
+from scanrender.scan.map_sizes import fitted_sizes
 from scanrender.scan.oven import Oven, bake_maps, shape_values
 from scanrender.scan.parallel import Aside
 from scanrender.scan.project import make_projector, measured_cage
@@ -45,7 +46,7 @@ from scanrender.scan.simplify import simplify
 from scanrender.scan.skinmask import SkinMask, read_skin_mask
 from scanrender.scan.surface import Surface
 from scanrender.scan.tangents import vertex_tangents
-from scanrender.scan.topology import components, edges_of, vertex_normals
+from scanrender.scan.topology import components, edges_of, face_areas, vertex_normals
 from scanrender.scan.unwrap import as_is_unwrapped, unwrap
 from scanrender.scan.views import make_views
 from scanrender.settings.prep import PrepSettings
@@ -89,6 +90,10 @@ def prepare_here(
         with journal.stage("clean") as notes:
             cleaned = clean(raw, scan, prep.clean)
             notes["steps"] = list(cleaned.steps)
+            bake = fitted_sizes(
+                prep.bake, float(face_areas(cleaned.surface.positions, cleaned.surface.faces).sum())
+            )
+            prep = prep.model_copy(update={"bake": bake})
             journal.warnings += cleaned.frame.warnings
         raw = raw.without_geometry()
         high, low, shape, lost = _shapes(cleaned, prep, journal, as_is)

@@ -107,6 +107,19 @@ class BakeSettings(Section):
         "Which maps are baked; the renderer does without those that are not there.",
         unit="",
     )
+    need: Literal["all", "shot"] = setting(
+        "all",
+        "`shot` bakes only those of `maps` that a pass of this pipeline's shots reads, no finer than "
+        "their cameras show; another look may then need another preparation.",
+        unit="",
+    )
+    texels_per_mm: float | None = setting(
+        None,
+        "A map's side is halved while it stays finer than this on the surface.",
+        unit="1/mm",
+        ge=1e-3,
+        le=1e4,
+    )
     supersample: int = setting(
         0,
         "Albedo samples along each side of a texel; 0 decides by the fineness of the raw texture.",
