@@ -1,8 +1,10 @@
 """Puts measured tables into docs: `python tools/bench_tables.py OUT/bench`.
 
 OUT/bench holds prep.json and fidelity.json, for docs/preparation.md, render.json and flicker.json,
-for docs/rendering.md, as `scanrender bench` wrote them; each may be missing. Frames of a GPU go to
-a table of their own. A page keeps what stands between its marks until it is given new figures.
+for docs/rendering.md, plan.json, for docs/trade/plan.md, truth.json, published.json and
+choice.json, for docs/trade/promises.md, as `scanrender bench` wrote them; each may be missing.
+Frames of a GPU go to a table of their own. A page keeps what stands between its marks until it is
+given new figures.
 """
 
 from __future__ import annotations
@@ -61,6 +63,50 @@ def flicker_blocks(document: Document) -> dict[str, str]:
     return {"flicker": markdown(case_table(document["rows"], LINES))}
 
 
+def plan_blocks(document: Document) -> dict[str, str]:
+    from scanrender.measure.plan_bench import TOLERANCE, plan_tables
+    from scanrender.measure.tables import markdown
+
+    rows = document["rows"]
+    over = [f"{row['case']} ({row['p95']:.2f})" for row in rows if row["p95"] > TOLERANCE]
+    found = f"{len(over)} of {len(rows)} shots are over the tolerance"
+    sentence = f"{found}{': ' + ', '.join(over) if over else ''}."
+    spread, left_out = map(markdown, plan_tables(rows))
+    parts = [f"{_machine(document)} GL: {rows[0]['renderer']}.", spread, sentence, left_out]
+    return {"plan": "\n\n".join(parts)}
+
+
+def truth_blocks(document: Document) -> dict[str, str]:
+    from scanrender.measure.tables import markdown
+    from scanrender.measure.truth_bench import truth_table
+
+    rows = document["rows"]
+    truth = rows[0]["truth"]
+    made = (
+        f"The truth took {truth['seconds']:.0f} s; half the spacing of its samples moves it by "
+        f"dE2000 {truth['halving_dE2000']['mean']:.3f}."
+    )
+    device = f"{_machine(document)} GL: {rows[0]['renderer']}. {made}"
+    return {"truth": "\n\n".join([device, markdown(truth_table(rows)), _missed(rows)])}
+
+
+def published_blocks(document: Document) -> dict[str, str]:
+    from scanrender.measure.published_bench import published_table
+    from scanrender.measure.tables import markdown
+
+    rows = document["rows"]
+    device = f"{_machine(document)} GL: {rows[0]['renderer']}."
+    return {"published": "\n\n".join([device, markdown(published_table(rows)), _missed(rows)])}
+
+
+def choice_blocks(document: Document) -> dict[str, str]:
+    from scanrender.measure.choice_bench import choice_tables
+    from scanrender.measure.tables import markdown
+
+    table, sentence = choice_tables(document["rows"])
+    return {"choice": "\n\n".join([_machine(document), markdown(table), f"{sentence}."])}
+
+
 def _machine(document: Document) -> str:
     machine = document["machine"]
     load = machine["load"]
@@ -94,6 +140,10 @@ BLOCKS = {
     "fidelity": ("preparation.md", fidelity_blocks),
     "render": ("rendering.md", render_blocks),
     "flicker": ("rendering.md", flicker_blocks),
+    "plan": ("trade/plan.md", plan_blocks),
+    "truth": ("trade/promises.md", truth_blocks),
+    "published": ("trade/promises.md", published_blocks),
+    "choice": ("trade/promises.md", choice_blocks),
 }
 
 

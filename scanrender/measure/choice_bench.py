@@ -143,6 +143,12 @@ def _said(row: Mapping[str, Any]) -> str:
 
 def choice_text(rows: Sequence[Mapping[str, Any]]) -> str:
     """The rows, and how many promises were kept."""
+    table, sentence = choice_tables(rows)
+    return f"{tables.text(table)}\n\n{sentence}"
+
+
+def choice_tables(rows: Sequence[Mapping[str, Any]]) -> tuple[tables.Table, str]:
+    """A line a row; how many promises were kept, of errors and of times."""
     head = ["case", "picked", "promised", "predicted", "measured", "kept"]
     body = [
         [
@@ -151,6 +157,8 @@ def choice_text(rows: Sequence[Mapping[str, Any]]) -> str:
         ]
         for row in rows
     ]  # fmt: skip
-    promised = [row for row in rows if row["satisfies"]]
-    kept = sum(row["kept"] for row in promised)
-    return f"{tables.text([head, *body])}\n\nkept: {kept} of {len(promised)} promises"
+    said = []
+    for kind in ("max_delta_e", "budget"):
+        promised = [row for row in rows if row["satisfies"] and kind in row["case"]]
+        said.append(f"{kind}: {sum(row['kept'] for row in promised)} of {len(promised)} kept")
+    return [head, *body], "; ".join(said)

@@ -64,7 +64,7 @@ WAYS = (
         (*_DISK, "diffusion.normalize=none", "skin.transmission.method=shadow_map",
          "skin.transmission.wrap=0"),
         "truth_sum"),
-    Way("disk, 64 taps, with neither", _DISK, "truth_sum"),
+    Way("disk, 64 taps, normalize: visible", _DISK, "truth_sum"),
 )  # fmt: skip
 PLANNED_LIMITS: Limits = {"frame_ms": ("<=", 400.0), "dE2000.mean": ("<=", 0.5)}
 

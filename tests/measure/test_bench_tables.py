@@ -52,3 +52,24 @@ def test_milliseconds_take_their_place_in_the_page(tool):
     assert "| gaussian_sum | 6,001 |" in filled
     assert "Over its limit: close: gaussian_sum: frame_ms is 6001, the limit is <= 6000." in filled
     assert "GL: a driver." in filled
+
+
+@pytest.mark.parametrize("name", ["plan", "truth", "published", "choice"])
+def test_pages_of_the_trade_have_room_for_their_tables(tool, name):
+    page, blocks = tool.BLOCKS[name]
+    error = {"mean": 0.25, "p95": 1.1, "maximum": 7.0}
+    row = {"p95": 1.25, "mean": 0.2, "asked_ms": 900, "planned_ms": 300, "share": 0.33, "plan_s": 9}
+    row |= {"left_out": ["diffusion.samples=9"], "renderer": "a driver", "frame_ms": 450.0}
+    row |= {"integral": "truth_mean", "dE2000": error, "FLIP": {"mean": 0.01}, "faster": 4.5}
+    row |= {"energy_ratio": [1.0, 1.0, 1.0], "picked": "a way", "satisfies": True, "kept": False}
+    row |= {"truth": {"seconds": 160.0, "halving_dE2000": {"mean": 0.03}}, "wish": 1.0}
+    row |= {"predicted": 0.9, "measured": 1.5, "limits": {"frame_ms": ["<=", 400.0]}}
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    filled = tool.with_blocks(text, blocks(document(**row)))
+    said = {
+        "plan": "1 of 1 shots are over the tolerance: a (1.25).",
+        "truth": "Over its limit: a: frame_ms is 450, the limit is <= 400.",
+        "published": "| a | 450 | 4.50 | 0.250 | 1.100 |",
+        "choice": "| a | a way | yes | 0.90 | 1.50 | no |",
+    }
+    assert said[name] in filled
