@@ -16,6 +16,8 @@ from scanrender.batch import job as batch_job
 from scanrender.batch.job import run_job
 from scanrender.batch.jobs import single_job
 from scanrender.batch.record import RECORD_NAME, load_record
+from scanrender.batch.state import Trust, look, records_of
+from scanrender.batch.upkeep import verify_jobs
 from scanrender.render.frame import Renderer
 from scanrender.scan import prepare as preparation
 from scanrender.settings.pipeline import Pipeline
@@ -226,6 +228,23 @@ def test_a_flipped_bit_is_found_by_verify_and_made_again_alone(
     batch_job.do_job(single_job(work / "ball.obj", tiny(), work / "out"), silent, verify=True)
     assert counted.since() == (prepared, rendered)
     assert contents(work / "out") == before
+
+
+@pytest.mark.parametrize(
+    ("name", "stage"),
+    [("asset/ao.exr", "prep"), ("buffers/frame_0001.exr", "buffers"), ("turntable.mp4", "video")],
+)
+def test_what_verify_forgets_stays_forgotten(work: Path, name: str, stage: str):
+    """Also when the record is written in between: what is left of a stage is not the stage."""
+    flip_a_bit(work / "out" / name)
+    _, damaged = verify_jobs(work / "out")
+    assert damaged == [str(work / "out" / name)]
+    job = single_job(work / "ball.obj", tiny(), work / "out")
+    for _ in range(2):
+        records = records_of(job)
+        assert stage in look(job, records, Trust()).reasons
+        records.job.changed = True
+        records.save()
 
 
 def test_what_a_stage_reads_is_looked_at(work: Path, counted: Counted):
