@@ -385,6 +385,24 @@ def test_parts_of_a_turn_are_found_by_the_whole(asset: Path, tmp_path: Path, cou
     assert contents(tmp_path / "parts") == contents(tmp_path / "whole")
 
 
+def test_parts_of_other_machines_are_taken_over(work: Path, counted: Counted):
+    """Rendered from the asset's folder, into folders of their own, one of them damaged since."""
+    out, expected = work / "farm", contents(work / "out")
+    run_job(work / "ball.obj", tiny(stages=["prep"]), out, silent)
+    for part in ([0, 1], [2], [3]):
+        run_job(out / "asset", tiny(), out / "parts" / str(part[0]), silent, frames=part)
+    flip_a_bit(out / "parts" / "2" / "frames" / "frame_0002.png")
+    other = tiny(skin={"scale": 0.5})
+    run_job(out / "asset", other, out / "parts" / "other", silent, frames=[0, 1, 2, 3])
+    counted.since()
+    run_job(work / "ball.obj", tiny(), out, silent)
+    # Frame 1 again for its buffers, which nobody takes over.
+    assert counted.since() == (0, [1, 2])
+    shutil.rmtree(out / "parts")
+    assert contents(out) == expected
+    assert run_job(work / "ball.obj", tiny(), out, silent).cached
+
+
 def test_a_driver_that_changed_renders_everything_again(
     asset: Path, tmp_path: Path, counted: Counted
 ):
