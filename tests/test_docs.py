@@ -106,6 +106,10 @@ def test_commands_and_options_in_pages_exist(page: Path):
         assert name in COMMANDS, f"scanrender {name}"
         command = cli.get_command(click.Context(cli), name)
         assert command is not None
+        inner = getattr(command, "commands", {}).get(
+            rest.split(maxsplit=1)[0] if rest.split() else ""
+        )
+        command = inner or command
         known = {option for parameter in command.params for option in parameter.opts} | {"--help"}
         for option in re.findall(r"(?<!\S)--[a-z-]+", rest.split("#")[0]):
             assert option in known, f"scanrender {name} {option}"

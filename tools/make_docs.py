@@ -237,6 +237,9 @@ def cli_page() -> str:
         assert command is not None
         context = command.make_context(name, [], parent=root, **width)
         blocks += [f"## scanrender {name}\n", _code(command.get_help(context))]
+        for inner, below in getattr(command, "commands", {}).items():
+            deeper = below.make_context(inner, [], parent=context, **width)
+            blocks += [f"### scanrender {name} {inner}\n", _code(below.get_help(deeper))]
     blocks += ["## Exit codes\n", exit_codes()]
     return "\n".join(blocks)
 

@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 from scanrender.asset import Asset, check_replaceable, load_asset
 from scanrender.batch.jobs import Job, single_job
-from scanrender.batch.keys import RENDERED_MAPS, prep_reads
+from scanrender.batch.keys import RENDERED_MAPS, curvature_scale_mm, prep_reads
 from scanrender.batch.leftovers import clean_leftovers, drop_resume_frames, remove_stale
 from scanrender.batch.lock import locked
 from scanrender.batch.log import JobLog
+from scanrender.batch.parts import adopt_parts
 from scanrender.batch.record import Record, Stage, digest, read_entry
 from scanrender.batch.result import Result, manifest, result_of
 from scanrender.batch.state import FIGURE_FILES, SETTINGS, Records, Trust, Work, look, records_of
@@ -105,6 +106,8 @@ class _Run:
             self._prepare(records.prep)
             forget()
             work = look(job, records, Trust(self.verify, reading=True))
+        if adopt_parts(job, records.job, work):
+            work = look(job, records, Trust(self.verify, reading=True))
         if only == "prep":
             return result_of(job, records, self.seconds)
         self._render(records, work)
@@ -186,7 +189,7 @@ class _Run:
         started = time.perf_counter()
         asset = shown.asset
         names = write_figure(
-            device(), asset, self.job.pipeline, self.job.folder, _subject(asset, self.job.name),
+            device(), asset, self.job.pipeline, self.job.folder, self.job.subject,
             self.progress,
         )  # fmt: skip
         self.seconds["render"] = time.perf_counter() - started
@@ -264,7 +267,7 @@ class _Shown:
 
         renderer = self.renderer()
         frames.notes["not_run"] = [f"{d.what}: {d.reason}" for d in renderer.decisions]
-        frames.notes["title"] = _subject(self.asset, self.job.name)
+        frames.notes["title"] = self.job.subject
         frames.notes["subtitle"] = subtitle(renderer)
         frames.notes["gl"] = _gl(self.job.pipeline)
 
@@ -282,12 +285,11 @@ def _prepared(job: Job, asset: Asset, record: Record, seconds: float) -> Stage:
             raise StageError(f"{name} changed while it was prepared", where, "run it again")
     reads = prep_reads(job.recipe, {name: entry.sha256 for name, entry in inputs.items()})
     stages = asset.info.get("stages", ())
-    scales = [stage.get("notes", {}).get("curvature_scale_mm") for stage in stages]
     notes = {
         "beside": {k: v for k, v in beside.items() if k != "files"},
         "source": {k: v for k, v in source.items() if k != "beside"},
         "warnings": [str(sentence) for sentence in asset.info.get("warnings", [])],
-        "curvature_scale_mm": max((scale for scale in scales if scale), default=None),
+        "curvature_scale_mm": curvature_scale_mm(asset.info),
         "peak_mib": max((x.get("peak_memory_mib") or 0 for x in stages), default=0),
         **{name: asset.info.get(name) for name in ("lost", "counts", "units")},
     }
@@ -296,11 +298,6 @@ def _prepared(job: Job, asset: Asset, record: Record, seconds: float) -> Stage:
         if file.is_file():
             record.add(stage, f"{job.asset.name}/{file.name}")
     return stage
-
-
-def _subject(asset: Asset, name: str) -> str:
-    """The scan's name, also where the job is given its asset's folder."""
-    return Path(str(asset.info.get("source", {}).get("file", ""))).stem or name
 
 
 def _gl(pipeline: Pipeline) -> dict[str, Any]:

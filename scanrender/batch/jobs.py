@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 
 from scanrender.batch.identity import scan_ids
-from scanrender.batch.keys import Recipe
+from scanrender.batch.keys import Recipe, described
 from scanrender.batch.needed import with_needed_maps
 from scanrender.batch.record import digest
 from scanrender.batch.stages import is_asset, stages_for
@@ -51,6 +51,15 @@ class Job:
     @property
     def pipeline(self) -> Pipeline:
         return self.recipe.pipeline
+
+    @cached_property
+    def subject(self) -> str:
+        """The scan's name, also where the job is given its asset's folder."""
+        if self.prepares:
+            return self.scan.stem
+        source = described(self.asset).get("source")
+        file = source.get("file", "") if isinstance(source, dict) else ""
+        return Path(str(file)).stem or self.name
 
     @property
     def label(self) -> str:

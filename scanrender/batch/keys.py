@@ -164,7 +164,7 @@ def video_reads(recipe: Recipe, frames_key: str) -> Reads:
     return {"frames": frames_key, "settings": {"turntable": {"fps": fps}}, **_made_by("video")}
 
 
-def sheet_reads(recipe: Recipe, frames_key: str, title: str | None) -> Reads:
+def sheet_reads(recipe: Recipe, frames_key: str, title: str) -> Reads:
     count = {"contact_frames": recipe.settings["outputs"]["contact_frames"]}
     said = {"frames": frames_key, "title": title, "settings": {"outputs": count}}
     return {**said, **_made_by("sheet")}
@@ -178,11 +178,23 @@ def figure_reads(recipe: Recipe, asset: Reads, pictures: Reads, gl: str) -> Read
     return {"settings": settings, "asset": asset, "pictures": pictures, "gl": gl, **made_by}
 
 
-def asset_files(folder: Path) -> list[str]:
-    """Names of an asset's files that the renderer reads; asset.json comes last."""
+def described(folder: Path) -> dict[str, Any]:
+    """An asset's own description; empty where it cannot be read: loading it will say why."""
     try:
-        maps = json.loads((folder / "asset.json").read_text(encoding="utf-8"))["maps"]
-        names = [MAPS[name].file for name in RENDERED_MAPS if name in maps]
-    except (OSError, ValueError, LookupError, TypeError):
-        names = []  # loading it will say what is wrong
-    return ["mesh.glb", *names, "asset.json"]
+        info = json.loads((folder / "asset.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return info if isinstance(info, dict) else {}
+
+
+def asset_files(info: Mapping[str, Any]) -> list[str]:
+    """Names of an asset's files that the renderer reads, by its description."""
+    maps = info.get("maps") or ()
+    return ["mesh.glb", *(MAPS[name].file for name in RENDERED_MAPS if name in maps)]
+
+
+def curvature_scale_mm(info: Mapping[str, Any]) -> float | None:
+    """What a renderer reads of the description: how far the curvature map is smoothed."""
+    notes = [stage.get("notes", {}) for stage in info.get("stages", ())]
+    scales = [note.get("curvature_scale_mm") for note in notes]
+    return max((float(scale) for scale in scales if scale), default=None)

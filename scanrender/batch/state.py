@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from scanrender.asset import MAPS
 from scanrender.batch import keys
 from scanrender.batch.jobs import Job
 from scanrender.batch.record import Record, Stage, differences, digest, load_record
@@ -140,7 +139,7 @@ def _look_at_render(job: Job, records: Records, work: Work, trust: Trust) -> Non
         frames=reads,
         buffers=keys.buffers_reads(job.recipe, key),
         video=keys.video_reads(job.recipe, key),
-        sheet=keys.sheet_reads(job.recipe, key, job.scan.stem if job.prepares else None),
+        sheet=keys.sheet_reads(job.recipe, key, job.subject),
     )
     _look_at_products(job, record, work, trust)
     _look_at_buffers(job, record, work, trust)
@@ -150,11 +149,13 @@ def asset_reads(job: Job, records: Records, verify: bool = False) -> dict[str, A
     """What identifies a prepared scan to whoever renders it: its maps' bytes, not their dates."""
     if job.prepares:
         stage = records.prep.stages[job.prep_stage]
-        names = ["mesh.glb", *(MAPS[name].file for name in keys.RENDERED_MAPS)]
+        names = keys.asset_files({"maps": keys.RENDERED_MAPS})
         entries = {name: stage.files.get(f"{job.asset.name}/{name}") for name in names}
         hashes = {name: entry.sha256 for name, entry in entries.items() if entry is not None}
         return {**hashes, "curvature_scale_mm": stage.notes.get("curvature_scale_mm")}
-    return dict(_inputs(records.job, job.asset, keys.asset_files(job.asset), verify))
+    info = keys.described(job.asset)
+    hashes = _inputs(records.job, job.asset, keys.asset_files(info), verify)
+    return {**hashes, "curvature_scale_mm": keys.curvature_scale_mm(info)}
 
 
 def _pictures(job: Job, record: Record, verify: bool) -> dict[str, str]:

@@ -14,7 +14,7 @@ from scanrender.errors import ScanrenderError
 # `--help` answers at once.
 COMMANDS = {
     "demo": ("demo", "Make our own raw head, prepare it, and render its turntable."),
-    "run": ("run", "Run a pipeline on one or several scans."),
+    "run": ("run", "Run a pipeline on one or several scans; what is done already stays."),
     "cache": ("cache", "Say what earlier runs left, check it, and why it would be made again."),
     "prep": ("prep", "Prepare a raw scan: clean, simplify, unwrap, bake into an asset folder."),
     "render": ("render", "Render frames and buffers of a prepared asset."),

@@ -151,4 +151,4 @@ def maps_read(pipeline: Pipeline) -> dict[str, str]:
     if planned.skin.transmission.method == "baked":
         read["thickness_mm"] = "transmission"
     dumped = {"ao", "thickness_mm", "curvature"} & set(pipeline.outputs.buffers)
-    return read | {name: "a buffer that is asked for" for name in sorted(dumped - read.keys())}
+    return read | dict.fromkeys(sorted(dumped - read.keys()), "a buffer that is asked for")

@@ -67,6 +67,8 @@ def lone_image(path: Path) -> Path | None:
     """The image that obviously belongs to a scan whose file names none, or None."""
     found = _lone_image(path, _listed(path.parent))
     NOTES.lone[path] = None if found is None else found.name
+    if found is not None:
+        NOTES.note(found.name, found)
     return found
 
 

@@ -16,6 +16,8 @@ from scanrender.batch import job as batch_job
 from scanrender.batch.job import run_job
 from scanrender.batch.jobs import single_job
 from scanrender.batch.record import RECORD_NAME, load_record
+from scanrender.batch.state import Trust, look, records_of
+from scanrender.batch.upkeep import verify_jobs
 from scanrender.render.frame import Renderer
 from scanrender.scan import prepare as preparation
 from scanrender.settings.pipeline import Pipeline
@@ -228,6 +230,23 @@ def test_a_flipped_bit_is_found_by_verify_and_made_again_alone(
     assert contents(work / "out") == before
 
 
+@pytest.mark.parametrize(
+    ("name", "stage"),
+    [("asset/ao.exr", "prep"), ("buffers/frame_0001.exr", "buffers"), ("turntable.mp4", "video")],
+)
+def test_what_verify_forgets_stays_forgotten(work: Path, name: str, stage: str):
+    """Also when the record is written in between: what is left of a stage is not the stage."""
+    flip_a_bit(work / "out" / name)
+    _, damaged = verify_jobs(work / "out")
+    assert damaged == [str(work / "out" / name)]
+    job = single_job(work / "ball.obj", tiny(), work / "out")
+    for _ in range(2):
+        records = records_of(job)
+        assert stage in look(job, records, Trust()).reasons
+        records.job.changed = True
+        records.save()
+
+
 def test_what_a_stage_reads_is_looked_at(work: Path, counted: Counted):
     """A damaged map is found before it is shown, a damaged frame before it is in the video."""
     run_job(work / "ball.obj", tiny(), work / "out", silent)
@@ -364,6 +383,24 @@ def test_parts_of_a_turn_are_found_by_the_whole(asset: Path, tmp_path: Path, cou
     run_job(asset, tiny(), tmp_path / "parts", silent)
     assert counted.since() == (0, [])
     assert contents(tmp_path / "parts") == contents(tmp_path / "whole")
+
+
+def test_parts_of_other_machines_are_taken_over(work: Path, counted: Counted):
+    """Rendered from the asset's folder, into folders of their own, one of them damaged since."""
+    out, expected = work / "farm", contents(work / "out")
+    run_job(work / "ball.obj", tiny(stages=["prep"]), out, silent)
+    for part in ([0, 1], [2], [3]):
+        run_job(out / "asset", tiny(), out / "parts" / str(part[0]), silent, frames=part)
+    flip_a_bit(out / "parts" / "2" / "frames" / "frame_0002.png")
+    other = tiny(skin={"scale": 0.5})
+    run_job(out / "asset", other, out / "parts" / "other", silent, frames=[0, 1, 2, 3])
+    counted.since()
+    run_job(work / "ball.obj", tiny(), out, silent)
+    # Frame 1 again for its buffers, which nobody takes over.
+    assert counted.since() == (0, [1, 2])
+    shutil.rmtree(out / "parts")
+    assert contents(out) == expected
+    assert run_job(work / "ball.obj", tiny(), out, silent).cached
 
 
 def test_a_driver_that_changed_renders_everything_again(
