@@ -22,6 +22,10 @@ COMMANDS = {
     "bench": ("bench", "Measure what preparing a scan costs, and what it loses."),
     "trade": ("trade", "Measure what each setting costs in time and in error against truth."),
     "compare": ("compare", "Say how far one rendered picture is from another."),
+    "stress": (
+        "stress",
+        "Render extreme scenes and hold each to what any picture must keep.",
+    ),
     "inspect": ("inspect", "Say what is in a raw scan and how healthy it is."),
     "validate": ("validate", "Check pipeline files without running them; needs no GL."),
     "schema": ("schema", "Print the JSON Schema of pipeline files; needs no GL."),

@@ -80,7 +80,7 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _unit(v: Array) -> Array:
-    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-300)
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-300))
 
 
 def _to_eye(shot: Shot, b: Buffers) -> Array:
@@ -223,7 +223,7 @@ def _display(scene: Scene, shot: Shot, b: Buffers) -> Array:
     place = np.moveaxis(at[:, :, ::-1], 2, 0)  # the table is blue, green, red
     table = view_table(view.transform).astype(np.float64)
     planes = [map_coordinates(table[..., c], place, order=1, mode="nearest") for c in range(3)]
-    return np.clip(np.stack(planes, axis=-1), 0.0, 1.0)
+    return np.asarray(np.clip(np.stack(planes, axis=-1), 0.0, 1.0))
 
 
 def _curvature_raw(scene: Scene, shot: Shot, b: Buffers) -> Array:

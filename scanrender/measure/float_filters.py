@@ -139,7 +139,8 @@ def curvature_step(scene: Scene, shot: Shot, b: Buffers) -> Array | None:
         at = np.clip(x + j, 0, width - 1)
         counts = (x + j == at) & (abs(j) <= side) & (j != 0) & (p[y, at, 3] > 0.0)
         dz = p[y, at, 2] - p[:, :, 2]
-        w = np.exp(-0.5 * j * j / np.maximum(sigma**2, 1e-12) - dz**2 / (2.0 * sigma_mm**2))
+        across = dz**2 / max(2.0 * sigma_mm**2, 1e-12)
+        w = np.exp(-0.5 * j * j / np.maximum(sigma**2, 1e-12) - across)
         total += np.where(counts, w, 0.0) * source[y, at]
         weights += np.where(counts, w, 0.0)
     return np.where(p[:, :, 3] > 0.0, total / weights, 0.0)[:, :, None]

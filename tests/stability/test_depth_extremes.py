@@ -1,4 +1,4 @@
-"""Near over far to 1:5e7, meshes and pictures that cannot be drawn, subjects smaller than a pixel."""
+"""Near over far to 1:5e7, what cannot be drawn, subjects smaller than a pixel."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def sheets(gap_mm: float) -> Asset:
 @pytest.mark.parametrize("height_mm", [100.0, 1.0, 0.1, 1e-2, 1e-3])
 @pytest.mark.parametrize("gap_mm", [0.01, 0.5, 10.0])
 def test_what_lies_behind_stays_behind(gl: Device, height_mm: float, gap_mm: float):
-    """From within, far over near is 5e7; 24 bits of the depth's reciprocal lost half a millimetre at
-    5e5, and the back of the head was in front of the face."""
+    """From within, far over near is 5e7; 24 bits of the depth's reciprocal lost half a millimetre
+    at 5e5, and the back of the head was in front of the face."""
     for asset in (sheets(gap_mm), reversed_faces(sheets(gap_mm))):
         settings = pipeline(MATT, NONE, camera={"height_mm": height_mm}, quality={"check": True})
         made = render(gl, asset, settings, "albedo", "depth_mm")
@@ -57,9 +57,10 @@ def reversed_faces(asset: Asset) -> Asset:
 
 
 def test_a_lamp_in_the_middle_of_something_huge_still_casts_shadows(gl: Device):
-    """A point lamp a millimetre from the centre: its map's far plane is 1e7 times its near one."""
+    """A point lamp a millimetre from the centre: its map's far plane is 1e7 times the near one."""
     ball = sphere_mesh(1e5, 32)
-    inverted = replace(ball, faces=np.ascontiguousarray(ball.faces[:, ::-1]), normals=-ball.normals)
+    faces = np.ascontiguousarray(ball.faces[:, ::-1])
+    inverted = replace(ball, faces=faces, normals=-ball.normals)
     screen = quad((-100.0, -100.0), (100.0, 100.0), z=-300.0)
     lamp = {"type": "point", "position_mm": [0.0, 0.0, -1.0], "shadow_px": 256}
     camera = {"height_mm": 300.0, "elevation_deg": 0}
@@ -77,7 +78,7 @@ def test_a_lamp_in_the_middle_of_something_huge_still_casts_shadows(gl: Device):
     height_mm=st.sampled_from([10.0, 260.0, 1e5]),
 )
 def test_a_subject_smaller_than_a_pixel_is_sound(gl: Device, size_mm, projection, height_mm):
-    """Triangles thinner than the rasteriser's grid are drawn behind the camera that is near them."""
+    """Triangles thinner than the rasteriser's grid were drawn behind a camera near them."""
     settings = pipeline(
         camera={"width_px": 37, "height_px": 91, "projection": projection, "height_mm": height_mm},
         quality={"supersampling": 1, "check": True},

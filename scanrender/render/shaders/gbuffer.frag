@@ -31,8 +31,13 @@ vec3 safe_unit(vec3 v, vec3 otherwise) {
 }
 
 void main() {
+    // The triangle's own normal, toward the eye: what there is where the vertices have none.
     vec3 to_eye = direction_to_eye(v_position);
-    vec3 n = safe_unit(v_normal, to_eye);
+    vec3 face = cross(dFdx(v_position), dFdy(v_position));
+    float area = length(face);
+    face = area > 0.0 ? face / area : to_eye;
+    face *= dot(face, to_eye) < 0.0 ? -1.0 : 1.0;
+    vec3 n = safe_unit(v_normal, gl_FrontFacing ? face : -face);
     // An open back or a hole shows the inside of the surface. It is lit from the side that is seen,
     // and drawn as no skin at all: the hollow of a face, textured, reads as a second face.
     if (!gl_FrontFacing) n = -n;

@@ -1,0 +1,119 @@
+"""The page of `scanrender stress`: one row an axis, then the random scenes, in Markdown."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from scanrender.measure.extremes import AXES, SUBJECT
+from scanrender.measure.invariants import INVARIANTS, Finding, Refusal
+from scanrender.measure.stress import Examined, Stress, in_words
+
+Walk = Sequence[tuple[Any, Sequence[Examined]]]
+INTRO = """# Stable at the extremes
+
+Written by `scanrender stress`. Each axis is walked alone, from a head-sized ball under a lamp and
+ambient light with everything on; at each value all invariants are tested. Then scenes are drawn in
+which many axes are moved at once. A clear refusal is fine, a wrong picture is not.
+"""
+
+
+def stress_page(stress: Stress, renderer: str, version: str, precision: str) -> str:
+    """The whole page; `precision` are its sections on floats (stress_precision.py)."""
+    return "\n".join([
+        INTRO,
+        f"scanrender {version}, {renderer}, {stress.seconds:.0f} s.\n",
+        "## Invariants\n", _invariants(stress),
+        "## Axes\n", _axes(stress),
+        "## Random scenes\n", _scenes(stress),
+        precision,
+    ])  # fmt: skip
+
+
+def _invariants(stress: Stress) -> str:
+    walked = [e for walk in stress.walks.values() for _, examined in walk for e in examined]
+    rows = []
+    for name, test in INVARIANTS.items():
+        found = [f for f in _findings([*stress.tests, *walked]) if f.invariant == name]
+        if not found:
+            continue
+        worst = max(found, key=lambda f: f.figure)
+        unit = worst.sentence if "dE" in worst.sentence or "relative" in worst.sentence else ""
+        says = (test.__doc__ or "").splitlines()[0].strip()
+        broken = sum(not f.holds for f in found)
+        rows.append((name, says, f"{worst.bound:g} {unit}".strip(), f"{worst.figure:.2g}",
+                     str(len(found)), str(broken)))  # fmt: skip
+    head = ("Invariant", "What must hold", "Bound", "Worst", "Tests", "Broken")
+    return table(head, rows)
+
+
+def _axes(stress: Stress) -> str:
+    rows = [(f"`{name}`", *_axis_row(name, walk)) for name, walk in stress.walks.items()]
+    return table(("Axis", "Values walked", "Holds at", "Worst, share of its bound", "Beyond"), rows)
+
+
+def _axis_row(name: str, walk: Walk) -> tuple[str, str, str, str]:
+    unit = (AXES.get(name) or SUBJECT[name]).unit
+    holds = [value for value, examined in walk if not _broken(examined) and not _refused(examined)]
+    beyond = []
+    for value, examined in walk:
+        if refused := _refused(examined):
+            beyond.append(f"{_short(value)}: refused ({refused[0].sentence})")
+        elif broken := _broken(examined):
+            beyond.append(f"{_short(value)}: {in_words(broken[0])}")
+    bounded = [f for _, es in walk for f in _findings(es) if f.bound > 0.0]
+    worst = max(bounded, key=lambda f: f.figure / f.bound, default=None)
+    words = "" if worst is None else f"{worst.figure / worst.bound:.0%} ({worst.invariant})"
+    shown = _span([value for value, _ in walk], unit)
+    return shown, "all" if len(holds) == len(walk) else _span(holds, unit), words, "; ".join(beyond)
+
+
+def _scenes(stress: Stress) -> str:
+    refusals = Counter(e.outcome.sentence for e in stress.tests if isinstance(e.outcome, Refusal))
+    first, last = stress.seeds
+    lines = [
+        f"{stress.scenes} scenes (seeds {first} to {last}), {len(stress.tests)} tests, "
+        f"{len(stress.broken)} broken, {sum(refusals.values())} refused.\n"
+    ]
+    if stress.broken:
+        rows = [(str(b.seed), in_words(b.finding), f"`{dict(b.case.axes)}`") for b in stress.broken]
+        lines.append(table(("Scene", "What broke", "Simplest axes that break it"), rows))
+    if refusals:
+        lines.append(table(("Refusal", "Scenes"), [(s, str(n)) for s, n in refusals.most_common()]))
+    return "\n".join(lines)
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Markdown, aligned to the left."""
+    lines = [head, ["---"] * len(head), *rows]
+    cells = ([cell.replace("|", "/").replace("\n", " ") for cell in line] for line in lines)
+    return "\n".join("| " + " | ".join(line) + " |" for line in cells) + "\n"
+
+
+def _findings(examined: Iterable[Examined]) -> list[Finding]:
+    return [e.outcome for e in examined if isinstance(e.outcome, Finding)]
+
+
+def _broken(examined: Iterable[Examined]) -> list[Finding]:
+    return [f for f in _findings(examined) if not f.holds]
+
+
+def _refused(examined: Iterable[Examined]) -> list[Refusal]:
+    return [e.outcome for e in examined if isinstance(e.outcome, Refusal)]
+
+
+def _span(values: Sequence[Any], unit: str) -> str:
+    if not values:
+        return "nowhere"
+    if all(isinstance(v, int | float) for v in values):
+        return f"{min(values):g} to {max(values):g} {unit}".strip()
+    return ", ".join(_short(v) for v in values) + (f" {unit}" if unit else "")
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, dict):
+        return " ".join(str(v) for k, v in value.items() if k != "shadow_px")
+    if isinstance(value, list):
+        return " × ".join(f"{v:g}" for v in value)
+    return f"{value:g}" if isinstance(value, int | float) else str(value)

@@ -1,0 +1,141 @@
+"""`scanrender stress` finds what is broken, makes it simple, and writes it down."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scanrender.errors import ConfigError, UsageError
+from scanrender.measure import stress
+from scanrender.measure.extreme_meshes import SHAPES, asset_of, maps_of
+from scanrender.measure.extremes import AXES, SUBJECT, case_of, random_case
+from scanrender.measure.invariants import INVARIANTS, Finding, Refusal, examine
+from scanrender.render import device as device_module
+from scanrender.render.device import Device
+
+pytestmark = pytest.mark.gl
+
+# Of the scenes that `stress` draws: a tenth of a second each.
+SCENES = range(3000, 3024)
+
+
+@pytest.mark.parametrize("number", SCENES)
+def test_a_random_scene_keeps_what_any_picture_must(gl: Device, number: int):
+    for examined in stress.examine_scene(gl, random_case(number), number):
+        outcome = examined.outcome
+        if isinstance(outcome, Finding):
+            assert outcome.holds, (stress.in_words(outcome), examined.case.axes)
+
+
+@pytest.mark.parametrize("name", ["fov_deg", "distance", "size_mm", "lamp", "irradiance", "maps"])
+def test_the_ends_of_an_axis_are_sound(gl: Device, name: str):
+    values = (AXES.get(name) or SUBJECT[name]).walk
+    for value in values if name in ("lamp", "maps") else (values[0], values[-1]):
+        outcome = examine(gl, case_of({name: value}), "sound")
+        assert isinstance(outcome, Refusal) or (outcome and outcome.holds), (value, outcome)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_shapes_are_assets_that_are_sound(gl: Device, shape: str):
+    asset = asset_of(shape, 200.0, "noisy")
+    assert np.abs(asset.mesh.positions_mm).max() <= 100.1
+    for invariant in ("sound", "furnace", "intensity"):
+        outcome = examine(gl, case_of({"shape": shape, "maps": "noisy"}), invariant)
+        assert outcome is None or (isinstance(outcome, Finding) and outcome.holds), outcome
+
+
+def test_cases_are_the_same_each_time():
+    for number in range(20):
+        one, two = random_case(number), random_case(number)
+        assert (one.axes, one.settings) == (two.axes, two.settings)
+    for name, pixels in maps_of("nan").items():
+        np.testing.assert_array_equal(pixels, maps_of("nan")[name])
+
+
+# A fault for the tests to find: light through ambient occlusion is no number.
+FAULT = (
+    "float open = texelFetch(ao, here, 0).r;",
+    "float open = texelFetch(ao, here, 0).r; if (open < 0.999) open = sqrt(-1.0 - open);",
+)
+
+
+def test_what_is_broken_is_found_shrunk_and_written(gl: Device, tmp_path: Path, monkeypatch):
+    source = device_module._source
+    monkeypatch.setattr(device_module, "_source", lambda file: source(file).replace(*FAULT))
+    broken = Device(gl.context)
+    case = case_of({"fov_deg": 40.0, "f0": 0.5, "maps": "noisy", "jitter": True})
+    found = examine(broken, case, "sound")
+    assert isinstance(found, Finding)
+    assert not found.holds
+    assert "pass irradiance wrote" in found.sentence
+    simplest, finding = stress.shrink(broken, case, "sound")
+    assert dict(simplest.axes) == {"maps": "noisy"}
+    file = stress.save_case(tmp_path / "case.yaml", simplest, finding)
+    again, invariant = stress.load_case(file)
+    assert (again.axes, again.settings, invariant) == (simplest.axes, simplest.settings, "sound")
+    assert not examine(broken, again, invariant).holds
+    monkeypatch.undo()
+    assert examine(gl, again, invariant).holds
+
+
+def test_every_invariant_applies_to_the_plain_scene(gl: Device):
+    for name in INVARIANTS:
+        outcome = examine(gl, case_of({}), name)
+        assert isinstance(outcome, Finding), name
+        assert outcome.holds, outcome
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("axes: {}", ConfigError),
+        ("[", ConfigError),
+        ("axes: {joy: 1}\ninvariant: sound", ConfigError),
+        ("axes: {}\ninvariant: joy", ConfigError),
+        (None, UsageError),
+    ],
+)
+def test_a_file_that_is_no_case_is_said_to_be_none(tmp_path: Path, text: str | None, error):
+    file = tmp_path / "case.yaml"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(error):
+        stress.load_case(file)
+
+
+def test_the_command(cli, tmp_path: Path):
+    done = cli("stress", "--axes", "f0", "--minutes", "0.02", "--out", "out", "--json")
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["broken"] == []
+    assert summary["scenes"] > 0
+    page = (tmp_path / "out" / "stability.md").read_text()
+    for word in ("| `f0` | 0 to 1 | all |", "| furnace |", "## Random scenes", "## Half floats"):
+        assert word in page
+
+
+def test_the_command_fails_where_something_is_broken_and_examines_it_again(cli, tmp_path: Path):
+    code = (
+        "from scanrender.render import device\n"
+        "source = device._source\n"
+        f"device._source = lambda file: source(file).replace(*{FAULT!r})\n"
+    )
+    done = cli(
+        "stress", "--axes", "none", "--seed", 5, "--minutes", 0.001, "--out", "out", code=code
+    )
+    assert done.returncode == 5, done.stderr
+    assert "invariants are broken" in done.stderr
+    assert "pass irradiance wrote" in (tmp_path / "out" / "stability.md").read_text()
+    case = next((tmp_path / "out").glob("scene_*_sound.yaml"))
+    assert cli("stress", "--again", case, code=code).returncode == 5
+    again = cli("stress", "--again", case)
+    assert again.returncode == 0
+    assert again.stdout.startswith("sound: 0, bound 0")
+
+
+def test_axes_that_are_none_are_refused(gl: Device):
+    with pytest.raises(UsageError, match="no axis is walked that is called joy"):
+        stress.run_stress(gl, 0.0, axes=["joy"])
