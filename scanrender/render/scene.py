@@ -326,8 +326,8 @@ class Scene:
         """Standard deviation of the smoothing that triangles do: normals that are linear in one
         have their curvature averaged over it, a box with a twelfth of its squared side.
 
-        A mean over triangles, which are finer where there is detail: over the surface, a bust's wide
-        shoulders spoke for its face. But not over crumbs: a few thousand somewhere inside say
+        A mean over triangles, which are finer where there is detail: over the surface, a bust's
+        wide shoulders spoke for its face. But not over crumbs: a few thousand somewhere inside say
         nothing of what is seen.
         """
         corners = self.asset.mesh.positions_mm[self.asset.mesh.faces].astype(np.float64)

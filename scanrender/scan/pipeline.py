@@ -33,10 +33,10 @@ from scanrender.scan.inspect import inspect_scan
 from scanrender.scan.journal import Journal, Progress
 from scanrender.scan.levels import make_lods
 from scanrender.scan.lost import surface_distance
+from scanrender.scan.map_sizes import fitted_sizes
 from scanrender.scan.mend import plain_surface
 from scanrender.scan.meshlab import count_self_intersections
 from scanrender.scan.neck import close_neck
-from scanrender.scan.map_sizes import fitted_sizes
 from scanrender.scan.oven import Oven, bake_maps, shape_values
 from scanrender.scan.parallel import Aside
 from scanrender.scan.project import make_projector, measured_cage

@@ -109,8 +109,8 @@ class BakeSettings(Section):
     )
     need: Literal["all", "shot"] = setting(
         "all",
-        "`shot` bakes only those of `maps` that a pass of this pipeline's shots reads, no finer than "
-        "their cameras show; another look may then need another preparation.",
+        "`shot` bakes only those of `maps` that a pass of this pipeline's shots reads, no finer "
+        "than their cameras show; another look may then need another preparation.",
         unit="",
     )
     texels_per_mm: float | None = setting(

@@ -283,7 +283,7 @@ def test_as_is_unwraps_anew_where_texture_coordinates_overlap(tmp_path):
 
 
 def test_maps_are_no_finer_than_asked_for_on_the_surface(textured, tmp_path):
-    """A sphere of 100 mm has 125 664 mm2: half a texel a mm is 220 px of an atlas two thirds full."""
+    """A sphere of 100 mm has 125 664 mm2: half a texel a mm is 220 px, two thirds of them used."""
     scan = textured[1]
     bake = SMALL.bake.model_copy(update={"texels_per_mm": 0.5, "maps": ("albedo", "normal_ts")})
     settings = SMALL.model_copy(update={"bake": bake, "report": "short"})
