@@ -161,8 +161,7 @@ class _Run:
                 spent[name] = round(spent.get(name, 0.0) + value, 3)
             record.changed = True
             record.save()
-        if not job.keeps_frames:
-            drop_resume_frames(record)
+        drop_resume_frames(record)
 
     def _ready(self, shown: _Shown, records: Records, work: Work) -> Work:
         """Open GL, load the asset, plan: now all settings and the driver are known for good."""
