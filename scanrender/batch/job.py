@@ -20,7 +20,7 @@ from scanrender.batch.keys import RENDERED_MAPS, curvature_scale_mm, prep_reads
 from scanrender.batch.leftovers import clean_leftovers, drop_resume_frames, remove_stale
 from scanrender.batch.lock import locked
 from scanrender.batch.log import JobLog
-from scanrender.batch.parts import adopt_parts
+from scanrender.batch.parts import PARTS, adopt_parts
 from scanrender.batch.record import Record, Stage, digest, read_entry
 from scanrender.batch.result import Result, manifest, result_of
 from scanrender.batch.state import FIGURE_FILES, SETTINGS, Records, Trust, Work, look, records_of
@@ -106,7 +106,8 @@ class _Run:
             self._prepare(records.prep)
             forget()
             work = look(job, records, Trust(self.verify, reading=True))
-        if adopt_parts(job, records.job, work):
+        if count := adopt_parts(job, records.job, work):
+            self.log.write(f"{count} frames of {PARTS}/ were taken over")
             work = look(job, records, Trust(self.verify, reading=True))
         if only == "prep":
             return result_of(job, records, self.seconds)
@@ -160,8 +161,7 @@ class _Run:
                 spent[name] = round(spent.get(name, 0.0) + value, 3)
             record.changed = True
             record.save()
-        if not job.keeps_frames:
-            drop_resume_frames(record)
+        drop_resume_frames(record)
 
     def _ready(self, shown: _Shown, records: Records, work: Work) -> Work:
         """Open GL, load the asset, plan: now all settings and the driver are known for good."""

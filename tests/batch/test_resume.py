@@ -316,6 +316,20 @@ def test_frames_of_a_run_that_was_stopped_are_not_rendered_again(
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
 
 
+def test_frames_that_waited_for_a_video_do_not_stay(asset: Path, tmp_path: Path):
+    """The run was stopped, and then frames were asked for instead."""
+
+    def stop(stage: str, fraction: float) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_job(asset, tiny(outputs={"frames": False}), tmp_path, stop)
+    assert (tmp_path / ".frames").exists()
+    run_job(asset, tiny(), tmp_path, silent)
+    assert not (tmp_path / ".frames").exists()
+    assert run_job(asset, tiny(), tmp_path, silent).cached
+
+
 def test_files_without_an_entry_count_as_not_there(asset: Path, tmp_path: Path, counted: Counted):
     """A process that is killed between writing frames and noting them."""
     run_job(asset, tiny(), tmp_path, silent)
