@@ -25,6 +25,8 @@ from scanrender.render.lamps import light_level
 from scanrender.settings.pipeline import Pipeline
 
 Picture = npt.NDArray[np.float64]
+# Pixels without an edge in them: of fewer, 5 % are no more than a shadow's border.
+FEWEST = 100
 
 
 @dataclass(frozen=True)
@@ -155,6 +157,8 @@ def mirrored(device: Device, case: Case) -> Finding | None:
     one = _beauty(device, asset, case.pipeline(_sampled(4)))
     two = _beauty(device, Asset(_mirrored_mesh(asset.mesh), asset.maps), changed)[:, ::-1]
     whole = np.minimum(one[:, :, 3], two[:, :, 3]) == 1.0
+    if whole.sum() < FEWEST:
+        return None
     return Finding("mirror", _quantile(apart(case, one, two)[whole], 0.95), 0.5, "dE2000, 95 %")
 
 

@@ -17,8 +17,8 @@ from scanrender.settings.shot import CameraSettings
 
 Matrix = npt.NDArray[np.float64]
 SENSOR_HEIGHT_MM = 24.0
-# Far over near plane beyond which the depth buffer holds depth itself, not its reciprocal: 24 bits of
-# that are then coarser than a thousandth of the depth, and what lies behind comes through.
+# Far over near plane beyond which the depth buffer holds depth itself, not its reciprocal: 24 bits
+# of that are then coarser than a thousandth of the depth, and what lies behind comes through.
 LINEAR_DEPTH_FROM = 1e4
 # Chin to crown, adults: 227 mm (the close view of the published timings).
 HALF_HEAD_MM = 113.5

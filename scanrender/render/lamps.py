@@ -33,8 +33,8 @@ class Lamp:
 
     `irradiance` is RGB at the subject's centre in units of pi. The light's own space has the
     subject's centre at its origin and the lamp `distance_mm` up its +Z: a lamp 10 km away then
-    costs float32 no digits; `clip_from_lamp` is from axes at the lamp itself. `sees_all` is false when the shadow map cannot hold all that the light
-    reaches.
+    costs float32 no digits; `clip_from_lamp` is from axes at the lamp itself. `sees_all` is false
+    when the shadow map cannot hold all that the light reaches.
     """
 
     index: int
