@@ -25,8 +25,8 @@ from scanrender.render.lamps import light_level
 from scanrender.settings.pipeline import Pipeline
 
 Picture = npt.NDArray[np.float64]
-# Pixels without an edge in them: of fewer, 5 % are no more than a shadow's border.
-FEWEST = 100
+# Pixels without an edge in them: of fewer, 5 % are no more than the border of the shadow.
+FEWEST = 300
 
 
 @dataclass(frozen=True)
