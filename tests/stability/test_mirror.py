@@ -13,7 +13,7 @@ from scanrender.render.samples import sample_offsets_px
 
 @pytest.mark.parametrize("side", [2, 3, 4, 7, 16])
 def test_samples_lie_along_no_diagonal(side: int):
-    """Two and two samples had a correlation of 0.8: an edge along their diagonal met two of them."""
+    """Four samples had a correlation of 0.8: an edge along their diagonal met two of them."""
     x, y = np.array(sample_offsets_px(side)).T
     assert abs(np.corrcoef(x, y)[0, 1]) < 1e-12
     assert np.var(x) == pytest.approx(1.0 / 12.0, rel=0.07)
