@@ -268,8 +268,10 @@ def subtitle(renderer: Renderer) -> str:
 def _small(pixels: Bytes) -> npt.NDArray[np.float32]:
     """The picture, box-reduced to at most about 540 px high for the contact sheet."""
     step = max(1, pixels.shape[0] // 540)
-    height, width = (side - side % step for side in pixels.shape[:2])
-    blocks = pixels[:height, :width].reshape(height // step, step, width // step, step, 3)
+    # A picture of one column has no block of several.
+    down, across = (min(step, side) for side in pixels.shape[:2])
+    rows, columns = pixels.shape[0] // down, pixels.shape[1] // across
+    blocks = pixels[: rows * down, : columns * across].reshape(rows, down, columns, across, 3)
     return np.ascontiguousarray(blocks.mean(axis=(1, 3), dtype=np.float32) / np.float32(255.0))
 
 

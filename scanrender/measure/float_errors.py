@@ -133,9 +133,10 @@ def _incident(uniforms: Mapping[str, Any], p: Array) -> tuple[Array, Array]:
     fall = uniforms["light_distance_mm"] ** 2 / np.maximum(
         _dot(d, d), max(uniforms["light_radius_mm"] ** 2, 1e-6)
     )
-    low, high = uniforms["light_cone"]
-    t = np.clip((_dot(_unit(d), np.asarray(axis)) - low) / (high - low), 0.0, 1.0)
-    return _unit(d), light * fall * t * t * (3.0 - 2.0 * t)
+    full, rim = uniforms["light_cone"]
+    chord = _unit(d) - axis
+    t = np.clip((0.5 * _dot(chord, chord) - full) / (rim - full), 0.0, 1.0)
+    return _unit(d), light * fall * (1.0 - t * t * (3.0 - 2.0 * t))
 
 
 def _lamps(scene: Scene, shot: Shot, b: Buffers) -> list[tuple[Array, Array]]:

@@ -25,6 +25,8 @@ from scanrender.render.lamps import light_level
 from scanrender.settings.pipeline import Pipeline
 
 Picture = npt.NDArray[np.float64]
+# Pixels without an edge in them: of fewer, 5 % are no more than the border of the shadow.
+FEWEST = 300
 
 
 @dataclass(frozen=True)
@@ -154,7 +156,9 @@ def mirrored(device: Device, case: Case) -> Finding | None:
     asset = case.asset()
     one = _beauty(device, asset, case.pipeline(_sampled(4)))
     two = _beauty(device, Asset(_mirrored_mesh(asset.mesh), asset.maps), changed)[:, ::-1]
-    whole = np.minimum(one[:, :, 3], two[:, :, 3]) == 1.0
+    whole = np.minimum(one[:, :, 3], two[:, :, 3]) > 1.0 - 1e-5
+    if whole.sum() < FEWEST:
+        return None
     return Finding("mirror", _quantile(apart(case, one, two)[whole], 0.95), 0.5, "dE2000, 95 %")
 
 
@@ -283,7 +287,7 @@ def finer(device: Device, case: Case) -> Finding | None:
     one = _beauty(device, case.asset(), case.pipeline(_sampled(4)))
     changed = case.pipeline({"camera": size}, _sampled(2))
     big = _beauty(device, case.asset(), changed)
-    if not (one[:, :, 3] == 1.0).any():
+    if one[:, :, 3].max() < 1.0 - 1e-5:
         return None  # nothing that is as wide as a pixel
     box = big.reshape(camera.height_px, 2, camera.width_px, 2, 4).mean(axis=(1, 3))
     return Finding("resolution", float(apart(case, one, box).mean()), 0.7, "dE2000, mean")

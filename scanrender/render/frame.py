@@ -179,7 +179,9 @@ class Renderer:
         size = self.camera.size_px
         limit = min(min(size) // 2, (self.device.most_px - max(size)) // 2)
         if reach > limit:
-            reason = f"the profile reaches {reach:.0f} px; the guard band stops at {limit} px"
+            reason = (
+                f"the profile reaches {math.ceil(reach)} px; the guard band stops at {limit} px"
+            )
             self.decisions.append(Decision("guard band", reason))
         return min(math.ceil(reach), limit)
 

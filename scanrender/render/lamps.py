@@ -75,13 +75,14 @@ class Lamp:
         return 2.0 * at / float(self.clip_from_light[0, 0])
 
     @property
-    def cone_cosines(self) -> tuple[float, float]:
-        """Cosines at which a spot is dark (rim) and fully bright."""
+    def cone(self) -> tuple[float, float]:
+        """1 - cosine at which a spot begins to fade, and at its dark rim; beyond 2 for no cone."""
         if not isinstance(self.settings, SpotLight):
-            return -2.0, -1.5
+            return 2.5, 3.0
         half = np.deg2rad(self.settings.cone_deg) / 2
         inner = half * (1.0 - self.settings.edge)
-        return float(np.cos(half)), float(np.cos(min(inner, half - 1e-4)))
+        full = min(inner, half - 1e-4)
+        return 2.0 * float(np.sin(full / 2)) ** 2, 2.0 * float(np.sin(half / 2)) ** 2
 
     @property
     def size(self) -> float:

@@ -106,7 +106,9 @@ def test_frames_repeat_bit_by_bit_and_hold_the_mean_coverage(gl: Device, side: i
     np.testing.assert_array_equal(first.buffers["beauty"], second.buffers["beauty"])
     every = render(gl, two_balls(), shot("everywhere", 8, "gaussian_sum"))
     assert first.alpha.mean() == pytest.approx(every["alpha"].mean(), rel=0.01)
-    assert len(np.unique(first.alpha)) == (2 if side == 1 else side * side + 2 - side % 2)
+    assert len(np.unique(np.round(first.alpha, 5))) == (
+        2 if side == 1 else side * side + 2 - side % 2
+    )
 
 
 def test_other_buffers_stay_those_of_the_pixels_centre(gl: Device):

@@ -55,6 +55,9 @@ SCENES: dict[str, dict[str, Any]] = {
     "close": {"camera": {"height_mm": 20}},
     "dim": {"lights": [{**lamp, "irradiance": 1e-8} for lamp in LAMPS]},
     "cbf": {"diffusion": {"halo": "cbf"}},
+    "narrow cone": {
+        "lights": [{"type": "spot", "distance_mm": 3000, "cone_deg": 1, "shadow_px": 64}, AMBIENT]
+    },
     "sharp": {"skin": {"specular": {"roughness": [0.05, 0.02], "strength": 10}}},
 }
 

@@ -28,7 +28,7 @@ def light_uniforms(lamp: Lamp, shot: Shot) -> dict[str, Any]:
         "light_is_near": lamp.is_near,
         "light_distance_mm": lamp.distance_mm,
         "light_radius_mm": lamp.size if lamp.is_near else 0.0,
-        "light_cone": lamp.cone_cosines,
+        "light_cone": lamp.cone,
         "light_irradiance": lamp.irradiance,
     }
 
