@@ -28,6 +28,7 @@ BOUNDS = (0.5, 0.75, 1.0, 1.5)
 KEPT = 1.25  # times the bound: as near as a prediction has to be, in nine cases of ten
 BUDGETS_MS = (100.0, 200.0, 400.0, 800.0)
 BUDGET_FRAMES = 5
+CONVERGENCE_SPOTS = 6  # each truth shows that it is one; the study's own say how near
 
 
 def _directional(azimuth_deg: float, elevation_deg: float, irradiance: float) -> str:
@@ -68,7 +69,8 @@ def bench_choice(
             size = (f"camera.width_px={SIZE_PX}", f"camera.height_px={SIZE_PX}")
             framing = (*size, *VIEWS[view], *DIFFUSE_ALONE)
             file = out / "truth" / f"{name}, {view}.npz"
-            truth = truth_of(device(), asset, "trade", framing, file, say)
+            spots = {"convergence_spots": CONVERGENCE_SPOTS}
+            truth = truth_of(device(), asset, "trade", framing, file, say, **spots)
             for bound in BOUNDS:
                 pipeline = load_pipeline("trade", (*framing, f"quality.max_delta_e={bound}"))
                 rows.append(_near_enough(device(), asset, pipeline, truth, bound))

@@ -122,6 +122,7 @@ def truth_of(
     file: Path,
     say: Callable[[str], None],
     every_px: int = 1,
+    convergence_spots: int = 24,
 ) -> dict[str, Any]:
     """truth_mean, truth_sum, coverage, skin (arrays) and notes (seconds, convergence); kept in
     `file`. Coverage is 0 in rows and columns that `every_px` leaves out."""
@@ -140,7 +141,10 @@ def truth_of(
     )  # fmt: skip
     say(f"integrating the truth, {size_px[0]} x {size_px[1]}, {len(offsets_px)} samples a pixel")
     begun = time.perf_counter()
-    found = truth_picture(asset, renderer.pipeline, profile_of(settings.skin), camera)
+    found = truth_picture(
+        asset, renderer.pipeline, profile_of(settings.skin), camera,
+        convergence_spots=convergence_spots,
+    )  # fmt: skip
     assert found.convergence is not None
     notes = {
         "seconds": round(time.perf_counter() - begun, 1),
