@@ -19,7 +19,7 @@ from scanrender.render.device import Device
 pytestmark = pytest.mark.gl
 
 # Of the scenes that `stress` draws: a tenth of a second each.
-SCENES = range(3000, 3024)
+SCENES = range(3000, 3016)
 
 
 @pytest.mark.parametrize("number", SCENES)
@@ -42,7 +42,7 @@ def test_the_ends_of_an_axis_are_sound(gl: Device, name: str):
 def test_shapes_are_assets_that_are_sound(gl: Device, shape: str):
     asset = asset_of(shape, 200.0, "noisy")
     assert np.abs(asset.mesh.positions_mm).max() <= 100.1
-    for invariant in ("sound", "furnace", "intensity"):
+    for invariant in ("sound", "furnace"):
         outcome = examine(gl, case_of({"shape": shape, "maps": "noisy"}), invariant)
         assert outcome is None or (isinstance(outcome, Finding) and outcome.holds), outcome
 
