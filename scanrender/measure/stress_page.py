@@ -25,7 +25,7 @@ millimetres, a profile 10,000 times as wide in red as in blue), `halo: measure` 
 silhouette by the surface that they show, up to 20 times, and which surface that is changes with the
 place of the samples. Everything is sound there and keeps its energy, but a mirrored or a finer
 picture differs by dE2000 0.6 to 1.3. `halo: none` keeps every bound. The separable kernels and the
-disk, there, meet single edges with single taps (decision 24).
+disk, there, meet single edges with single taps (decision 26).
 """
 
 
