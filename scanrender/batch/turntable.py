@@ -1,8 +1,9 @@
 """Frames of one asset to files: video, PNGs, contact sheet, buffers with their pictures.
 
-Rendering, encoding and writing overlap: files are written by threads of their own, at most
-`IN_FLIGHT` frames behind. Video and sheet are made of the 8-bit pixels of the PNGs, so that a run
-that was interrupted, and finds half of its frames, makes the same ones.
+Rendering, encoding and writing overlap: all but rendering is done by threads, a few frames behind;
+what they call (OpenImageIO, FFmpeg, NumPy) lets the interpreter go meanwhile. Video and sheet are
+made of the 8-bit pixels of the PNGs, so that a run that was interrupted, and finds half of its
+frames, makes the same ones.
 """
 
 from __future__ import annotations
@@ -31,12 +32,11 @@ from scanrender.outputs.falsecolour import false_colour_png
 from scanrender.outputs.png import bytes_from_unit, write_bytes_png
 from scanrender.outputs.video import VideoWriter
 from scanrender.render.frame import Renderer
+from scanrender.scan.parallel import workers
 
 Progress = Callable[[str, float], None]
 Bytes = npt.NDArray[np.uint8]
 
-IN_FLIGHT = 4
-WRITERS = 2
 SAVE_EVERY_S = 1.0  # what a killed run has to do again
 
 
@@ -83,9 +83,9 @@ class Turntable:
                 pixels = self._pixels(index, writing)
                 started = time.perf_counter()
                 if video is not None:
-                    writing.add(encoder.submit(video.write, pixels))
+                    writing.add(encoder.submit(_encode, video, pixels))
                 if index in tiled:
-                    tiles.append(Tile(angle_label(job, index), _small(pixels)))
+                    tiles.append(Tile(angle_label(job, index), _small(pixels.result())))
                 self._add_time("write", started)
                 progress("render", (done + 1) / len(order))
         if video is not None:
@@ -95,13 +95,13 @@ class Turntable:
             self._write_sheet(tiles)
             self._add_time("write", started)
 
-    def _pixels(self, index: int, writing: _Writing) -> Bytes:
+    def _pixels(self, index: int, writing: _Writing) -> Future[Bytes]:
         """Frame `index`, rendered and on its way to its files, or as an earlier run left it."""
         job, work = self.job, self.work
         name = job.frame_file(index)
         dumps = index in work.dump
         if index not in work.render and not dumps:
-            return np.ascontiguousarray(read_colors(job.folder / name), np.uint8)
+            return writing.begin(lambda: _read_png(job.folder / name))
         renderer = self.renderer()
         names = buffer_names(renderer, job.pipeline.outputs.buffers) if dumps else []
         started = time.perf_counter()
@@ -112,9 +112,9 @@ class Turntable:
             times = self.frames.notes.setdefault("ms", {})
             times[str(index)] = round(1e3 * (time.perf_counter() - started), 1)
         started = time.perf_counter()
-        pixels = bytes_from_unit(frame.buffers["display"])
+        pixels = writing.begin(lambda: bytes_from_unit(frame.buffers["display"]))
         if index in work.render:
-            writing.write(self.frames, index, lambda: _write_png(job.folder, name, pixels))
+            writing.write(self.frames, index, lambda: _write_png(job.folder, name, pixels.result()))
         if dumps:
             stage = self.record.stages["buffers"]
             writing.write(stage, index, lambda: self._write_buffers(frame, index, names))
@@ -155,14 +155,16 @@ class Turntable:
 
 
 class _Writing:
-    """Files on their way: at most IN_FLIGHT frames, noted in the record as they are complete.
+    """Files on their way, a bounded number, noted in the record as they are complete.
 
     On the way out everything that was begun is finished and noted, also after an error.
     """
 
     def __init__(self, record: Record) -> None:
         self.record = record
-        self._pool = ThreadPoolExecutor(WRITERS)
+        threads = max(2, workers())
+        self._pool = ThreadPoolExecutor(threads)
+        self._most = 2 * threads
         self._waiting: deque[Future[Any]] = deque()
         self._saved = time.monotonic()
 
@@ -181,6 +183,10 @@ class _Writing:
             self._pool.shutdown()
             self.record.save()
 
+    def begin(self, make: Callable[[], Bytes]) -> Future[Bytes]:
+        """Pixels that others wait for: begun before those, so that nobody waits for a thread."""
+        return self._pool.submit(make)
+
     def write(self, stage: Stage, part: int, make: Callable[[], list[str]]) -> None:
         """Call `make`, which writes files and returns their names, in a thread."""
         folder = self.record.folder
@@ -192,7 +198,7 @@ class _Writing:
 
     def add(self, future: Future[Any]) -> None:
         self._waiting.append(future)
-        while len(self._waiting) > IN_FLIGHT or (self._waiting and self._waiting[0].done()):
+        while len(self._waiting) > self._most or (self._waiting and self._waiting[0].done()):
             self._finish(self._waiting.popleft())
         if time.monotonic() - self._saved > SAVE_EVERY_S:
             self.record.save()
@@ -204,6 +210,14 @@ class _Writing:
             stage, entries = result
             stage.files.update(entries)
             self.record.changed = True
+
+
+def _read_png(path: Path) -> Bytes:
+    return np.ascontiguousarray(read_colors(path), np.uint8)
+
+
+def _encode(video: VideoWriter, pixels: Future[Bytes]) -> None:
+    video.write(pixels.result())
 
 
 def _write_png(folder: Path, name: str, pixels: Bytes) -> list[str]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -466,3 +468,34 @@ def test_a_plan_is_made_once(asset: Path, tmp_path: Path, counted: Counted, monk
     assert counted.since()[1] == [2]
     assert again.quality["picked"] == first.quality["picked"]
     assert again.decisions == first.decisions
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_neither_gl_objects_nor_file_handles_grow_with_frames(asset: Path, tmp_path: Path):
+    """The driver is asked which of the names it has given out are still alive."""
+    from scanrender.render.device import device
+
+    library = ctypes.CDLL("libGL.so.1")
+    is_alive = [library.glIsTexture, library.glIsFramebuffer, library.glIsBuffer]
+    seen: list[tuple[int, ...]] = []
+
+    def look_around(stage: str, fraction: float) -> None:
+        if len(seen) % 40 in (30, 31):
+            context = device().context
+            newest = context.texture((1, 1), 1)
+            newest.release()
+            names = range(1, 4 * newest.glo + 400)
+            alive = [sum(bool(ask(name)) for name in names) for ask in is_alive]
+            seen.append((*alive, len(os.listdir("/proc/self/fd"))))
+        else:
+            seen.append(())
+
+    settings = tiny(turntable={"frames": 220}, outputs={"frames": False, "buffers": []})
+    run_job(asset, settings, tmp_path, look_around)
+    counts = [numbers for numbers in seen if numbers]
+    assert len(counts) > 8
+    assert counts[0][0] > 5, "otherwise nobody was asked"
+    assert all(numbers[:3] == counts[0][:3] for numbers in counts)
+    assert max(numbers[3] for numbers in counts) <= min(n[3] for n in counts) + 4, (
+        "files that are being written are open now and then"
+    )
