@@ -26,8 +26,9 @@ def with_needed_maps(pipelines: Sequence[Pipeline]) -> list[Pipeline]:
 
     read = {name for pipeline in asking for name in maps_read(pipeline)}
     scales = [finest_px_per_mm(pipeline.camera) for pipeline in asking]
-    finest = None if None in scales else TEXELS_A_PX * max(scale or 0.0 for scale in scales)
-    return [_baking(p, read, finest) if p in asking else p for p in pipelines]
+    finest = max(scale or 0.0 for scale in scales)
+    texel_mm = None if None in scales else 1.0 / (TEXELS_A_PX * finest)
+    return [_baking(p, read, texel_mm) if p in asking else p for p in pipelines]
 
 
 def unread_maps(pipeline: Pipeline) -> list[Decision]:
@@ -41,11 +42,10 @@ def unread_maps(pipeline: Pipeline) -> list[Decision]:
     return [Decision(f"map {name}", reason) for name in pipeline.prep.bake.maps if name not in read]
 
 
-def _baking(pipeline: Pipeline, read: set[str], finest: float | None) -> Pipeline:
+def _baking(pipeline: Pipeline, read: set[str], texel_mm: float | None) -> Pipeline:
     bake = pipeline.prep.bake
-    asked = bake.texels_per_mm
-    finer = min((x for x in (asked, finest) if x is not None), default=None)
+    coarser = max((x for x in (bake.texel_mm, texel_mm) if x is not None), default=None)
     maps = tuple(name for name in bake.maps if name in read)
-    less = bake.model_copy(update={"maps": maps, "texels_per_mm": finer})
+    less = bake.model_copy(update={"maps": maps, "texel_mm": coarser})
     prep = pipeline.prep.model_copy(update={"bake": less})
     return pipeline.model_copy(update={"prep": prep})

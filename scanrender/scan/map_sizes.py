@@ -13,10 +13,10 @@ SIDES = ("albedo_px", "normal_px", "data_px")
 
 
 def fitted_sizes(bake: BakeSettings, area_mm2: float) -> BakeSettings:
-    """The settings with each side halved while its maps keep `texels_per_mm` on this surface."""
-    if bake.texels_per_mm is None or area_mm2 <= 0.0:
+    """The settings with each side halved while its maps keep `texel_mm` on this surface."""
+    if bake.texel_mm is None or area_mm2 <= 0.0:
         return bake
-    enough_px = bake.texels_per_mm * math.sqrt(area_mm2 / ATLAS_USE)
+    enough_px = math.sqrt(area_mm2 / ATLAS_USE) / bake.texel_mm
     return bake.model_copy(update={name: _halved(getattr(bake, name), enough_px) for name in SIDES})
 
 

@@ -113,12 +113,12 @@ class BakeSettings(Section):
         "than their cameras show; another look may then need another preparation.",
         unit="",
     )
-    texels_per_mm: float | None = setting(
+    texel_mm: float | None = setting(
         None,
-        "A map's side is halved while it stays finer than this on the surface.",
-        unit="1/mm",
-        ge=1e-3,
-        le=1e4,
+        "A map's side is halved while its texels stay smaller than this on the surface.",
+        unit="mm",
+        ge=1e-4,
+        le=1e3,
     )
     supersample: int = setting(
         0,

@@ -76,16 +76,18 @@ def test_without_being_asked_all_maps_are_baked_and_those_in_vain_are_named():
 def test_maps_are_no_finer_than_the_nearest_camera_shows():
     near, far = ({"height_mm": mm, "height_px": 1000, "width_px": 1000} for mm in (250.0, 5000.0))
     made = with_needed_maps([pipeline(NEED, camera=camera) for camera in (near, far)])
-    asked = made[0].prep.bake.texels_per_mm
-    assert asked is not None
-    assert 8.0 < asked < 16.0, "two texels a pixel at 4 px/mm, and more where the face is nearer"
+    texel_mm = made[0].prep.bake.texel_mm
+    assert texel_mm is not None
+    assert 8.0 < 1.0 / texel_mm < 16.0, (
+        "two texels a pixel at 4 px/mm, and more where the face is nearer"
+    )
     whole = with_needed_maps([pipeline(NEED)])[0]
-    assert whole.prep.bake.texels_per_mm is None, "the subject's size decides, and is not known"
+    assert whole.prep.bake.texel_mm is None, "the subject's size decides, and is not known"
 
 
 @given(area=st.floats(1e-3, 1e9), wanted=st.floats(1e-3, 1e3), power=st.integers(4, 13))
 def test_a_side_is_halved_while_it_stays_fine_enough(area: float, wanted: float, power: int):
-    bake = BakeSettings(albedo_px=2**power, texels_per_mm=wanted)
+    bake = BakeSettings(albedo_px=2**power, texel_mm=1.0 / wanted)
     side = fitted_sizes(bake, area).albedo_px
     density = (ATLAS_USE / area) ** 0.5
     assert side == 2**power or side * density >= wanted

@@ -285,7 +285,7 @@ def test_as_is_unwraps_anew_where_texture_coordinates_overlap(tmp_path):
 def test_maps_are_no_finer_than_asked_for_on_the_surface(textured, tmp_path):
     """A sphere of 100 mm has 125 664 mm2: half a texel a mm is 220 px, two thirds of them used."""
     scan = textured[1]
-    bake = SMALL.bake.model_copy(update={"texels_per_mm": 0.5, "maps": ("albedo", "normal_ts")})
+    bake = SMALL.bake.model_copy(update={"texel_mm": 2.0, "maps": ("albedo", "normal_ts")})
     settings = SMALL.model_copy(update={"bake": bake, "report": "short"})
     asset = prepare(scan, ScanSettings(units="mm"), settings, tmp_path / "asset")
     assert asset.maps["albedo"].shape[0] == asset.maps["normal_ts"].shape[0] == 256
