@@ -88,8 +88,9 @@ def _document_of_manifest(found: Json) -> Json:
 def _document_of_failure(failure: Failure) -> Json:
     error, job = failure.error, failure.job
     said = {"what": error.what, "where": error.where, "fix": error.fix}
-    entry = {"scan": str(job.scan), "name": job.name, "variant": job.variant, "folder": "."}
-    entry |= {"status": "failed", "error": {**said, "exit_code": error.exit_code}, "asset": "asset"}
+    told: Json = {**said, "exit_code": error.exit_code}
+    entry: Json = {"scan": str(job.scan), "name": job.name, "variant": job.variant, "folder": "."}
+    entry |= {"status": "failed", "error": told, "asset": "asset"}
     variants = {job.variant: job.recipe.settings}
     return {"scanrender": __version__, "variants": variants, "jobs": [entry]}
 
@@ -171,7 +172,9 @@ def _pixels(out: Path, entry: Json, name: str) -> tuple[str, str]:
         return "", ""
     frames = sorted((folder / FRAMES).glob("*.png")) or sorted((folder / RESUME_FRAMES).glob("*"))
     videos = [path for path in [folder / "turntable.mp4"] if path.exists()]
-    pages = [path for path in (folder / "figure.png", folder / "contact_sheet.png") if path.exists()]
+    pages = [
+        path for path in (folder / "figure.png", folder / "contact_sheet.png") if path.exists()
+    ]
     buffers = sorted((folder / "buffers").glob("frame_*.exr"))
     used = [*frames, *videos, *pages[:1], *buffers]
     if not used:

@@ -113,8 +113,8 @@ def _explained(spec: BufferSpec, pixels: Floats, alpha: Floats | None) -> tuple[
         raise ValueError(f"{spec.name} of shape {pixels.shape} is not a {spec.kind}")
     if alpha is not None and alpha.shape != pixels.shape[:2]:
         raise ValueError(f"alpha {alpha.shape} does not fit {spec.name} {pixels.shape}")
-    finite = np.isfinite(pixels).all(axis=2)
-    covered = np.ones(finite.shape, bool) if alpha is None else np.asarray(alpha > 0)
+    finite: Mask = np.asarray(np.isfinite(pixels).all(axis=2))
+    covered: Mask = np.ones(finite.shape, bool) if alpha is None else np.asarray(alpha > 0)
     subject = finite & covered
     values = np.nan_to_num(pixels, nan=0.0, posinf=0.0, neginf=0.0)
     shown = _SHOW[spec.kind](spec, values, subject)

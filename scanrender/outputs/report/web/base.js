@@ -33,6 +33,8 @@ function number(value, digits = 4) {
   if (size !== 0 && (size < 1e-4 || size >= 1e6)) return value.toExponential(2);
   return String(Number(value.toPrecision(digits)));
 }
+/** A length that was lost: below a micrometre there is nothing to tell. */
+const mm = (value) => (value < 0.001 ? "< 0.001 mm" : `${number(value, 2)} mm`);
 const total = (job) => Object.values(job.seconds || {}).reduce((sum, value) => sum + value, 0);
 function median(values) {
   const sorted = [...values].sort((a, b) => a - b), middle = sorted.length >> 1;

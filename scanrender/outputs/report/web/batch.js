@@ -1,8 +1,19 @@
 // The batch: failures first, then a card for each scan.
-function failureOf(job) {
+/** Jobs of one scan that failed for one reason are one failure. */
+function failuresOf(jobs) {
+  const groups = new Map();
+  for (const job of jobs) {
+    const same = JSON.stringify([job.scan, (job.error || {}).what, (job.error || {}).where]);
+    groups.set(same, [...(groups.get(same) || []), job]);
+  }
+  return [...groups.values()].map((group) => failureOf(...group));
+}
+
+function failureOf(job, ...others) {
   const {what, where, fix, exit_code: code} = job.error || {};
+  const name = others.length ? `${job.name}: ${[job, ...others].map((each) => each.variant).join(", ")}` : job.label;
   return el("article", {class: "card failure"},
-    el("div", {class: "head"}, el("h3", {}, job.label), el("span", {class: "badge failed"}, "failed")),
+    el("div", {class: "head"}, el("h3", {}, name), el("span", {class: "badge failed"}, "failed")),
     el("p", {class: "what"}, what),
     el("dl", {},
       where ? [el("dt", {}, "where"), el("dd", {class: "mono"}, where)] : "",
@@ -17,7 +28,7 @@ function factsOf(job) {
   const spent = total(job), frame = median(Object.values(job.frame_ms || {})), lost = job.lost || {};
   if (spent) facts.push(["time", seconds(spent)]);
   if (frame !== null) facts.push(["a frame", `${number(frame, 3)} ms`]);
-  if (lost.symmetric_mm) facts.push(["shape lost, 99 %", `${number(lost.symmetric_mm.p99, 2)} mm`]);
+  if (lost.symmetric_mm) facts.push(["shape lost, 99 %", mm(lost.symmetric_mm.p99)]);
   if (lost.color_de2000) facts.push(["colour lost, mean", `dE ${number(lost.color_de2000.mean, 2)}`]);
   if (lost.charts) facts.push(["charts", `${lost.charts}, ${Math.round(100 * lost.atlas_use)} % used`]);
   if (job.counts && job.counts.prepared) facts.push(["triangles", job.counts.prepared.triangles.toLocaleString("en")]);
@@ -60,7 +71,7 @@ function batchPage() {
       failed.length ? el("span", {class: "badge failed"}, `${failed.length} failed`) : "",
       warned ? el("span", {class: "badge warned"}, `${warned} with warnings`) : "",
     ]),
-    failed.length ? el("section", {"aria-label": "failures"}, el("h2", {}, "What failed"), failed.map(failureOf)) : "",
+    failed.length ? el("section", {"aria-label": "failures"}, el("h2", {}, "What failed"), failuresOf(failed)) : "",
     fine.length ? el("section", {"aria-label": "scans"},
       el("div", {class: "bar", style: {marginTop: "2.5rem"}}, el("h2", {}, "Scans"), fine.length > 6 ? search : ""), list, empty) : "",
     times ? el("section", {class: "card panel", style: {marginTop: "2.5rem"}}, el("h2", {}, "Where the time went"), times) : "",
@@ -68,11 +79,12 @@ function batchPage() {
   ];
 }
 
-function headOf(title, words) {
-  const finished = DATA.finished ? new Date(DATA.finished.replace(/([+-]\d\d)(\d\d)$/, "$1:$2")) : null;
+/** `ended`: say when the run ended and how long it took. */
+function headOf(title, words, ended = true) {
+  const finished = ended && DATA.finished ? new Date(DATA.finished.replace(/([+-]\d\d)(\d\d)$/, "$1:$2")) : null;
   return el("header", {}, el("h1", {}, title), el("p", {class: "lead"}, words,
     finished && !Number.isNaN(finished.getTime()) ? el("span", {}, "finished ", el("b", {}, finished.toLocaleString([], {dateStyle: "medium", timeStyle: "short"}))) : "",
-    DATA.seconds ? el("span", {}, "took ", el("b", {}, seconds(DATA.seconds))) : ""));
+    ended && DATA.seconds ? el("span", {}, "took ", el("b", {}, seconds(DATA.seconds))) : ""));
 }
 
 function footer() {

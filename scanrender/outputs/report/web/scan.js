@@ -13,7 +13,7 @@ function scanPage(job, alone) {
   return [
     el("div", {class: "back"}, alone ? "" : el("a", {href: "#"}, "← all scans"),
       alone ? "" : el("nav", {"aria-label": "other scans"}, before ? el("a", {href: `#scan=${before.id}`, rel: "prev"}, `‹ ${before.label}`) : "", after ? el("a", {href: `#scan=${after.id}`, rel: "next"}, `${after.label} ›`) : "")),
-    headOf(job.label, [badges(job), el("code", {}, job.scan)]),
+    headOf(job.label, [badges(job), el("code", {}, job.scan)], alone),
     failed ? el("section", {style: {marginTop: "1.3rem"}}, failureOf(job)) : el("div", {class: "top"},
       el("div", {class: "card"}, turnOf(job, true)),
       el("div", {class: "card"}, el("div", {class: "words"}, warningsOf(job), factsOf(job), fidelityOf(job)))),
@@ -26,7 +26,7 @@ function fidelityOf(job) {
   const lost = job.lost, units = job.units;
   if (!lost) return "";
   const rows = [];
-  const distance = (name, label) => lost[name] && rows.push([label, ["mean", "p99", "max"].map((key) => `${number(lost[name][key], 2)} mm`)]);
+  const distance = (name, label) => lost[name] && rows.push([label, ["mean", "p99", "max"].map((key) => mm(lost[name][key]))]);
   distance("prepared_to_raw_mm", "prepared to raw");
   distance("raw_to_prepared_mm", "raw to prepared");
   const colour = lost.color_de2000;
@@ -49,7 +49,7 @@ function timesOf(job) {
   const frames = frameTimes(job);
   if (!rows.length && !prep.length && !frames) return "";
   return el("section", {"aria-label": "times"}, el("h2", {}, "Time"), el("div", {class: "pair"},
-    rows.length || frames ? el("section", {class: "card"}, el("h3", {}, "Stages"), rows.length ? bars(rows, "seconds per stage") : "", frames || "") : "",
+    rows.length || frames ? el("section", {class: "card"}, el("h3", {}, "Stages"), rows.length ? bars(rows, "seconds per stage") : "", frames ? [el("h3", {class: "next"}, "Frames"), frames] : "") : "",
     prep.length ? el("section", {class: "card"}, el("h3", {}, "Preparation"), bars(prep, "seconds per step of preparation")) : ""));
 }
 

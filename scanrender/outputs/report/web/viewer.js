@@ -270,8 +270,8 @@ function viewerOf(job, layers) {
       el("button", {type: "button", "aria-label": "zoom in", on: {click: () => zoomTo(view.scale * 1.5)}}, "+"),
       el("button", {type: "button", on: {click: () => zoomTo(1)}}, "Fit"), zoomed),
     el("table", {class: "readout"}, place, readout), legend));
-  // Beauty is what people look for first; of dumped buffers that is `display` or `beauty`.
-  const first = layers.findIndex((layer) => layer.values && ["display", "beauty"].includes(layer.name));
+  // What people look for first is the picture; where `display` was dumped, with its numbers.
+  const first = layers.findIndex((layer) => layer.name === "display");
   setA(Math.max(0, first));
   return node;
 }
