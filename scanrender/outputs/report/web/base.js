@@ -34,7 +34,7 @@ function number(value, digits = 4) {
   return String(Number(value.toPrecision(digits)));
 }
 /** A length that was lost: below a micrometre there is nothing to tell. */
-const mm = (value) => (value < 0.001 ? "< 0.001 mm" : `${number(value, 2)} mm`);
+const mm = (value) => (value < 0.001 ? "< 0.001" : number(value, 2));
 const total = (job) => Object.values(job.seconds || {}).reduce((sum, value) => sum + value, 0);
 function median(values) {
   const sorted = [...values].sort((a, b) => a - b), middle = sorted.length >> 1;

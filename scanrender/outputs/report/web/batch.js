@@ -28,7 +28,7 @@ function factsOf(job) {
   const spent = total(job), frame = median(Object.values(job.frame_ms || {})), lost = job.lost || {};
   if (spent) facts.push(["time", seconds(spent)]);
   if (frame !== null) facts.push(["a frame", `${number(frame, 3)} ms`]);
-  if (lost.symmetric_mm) facts.push(["shape lost, 99 %", mm(lost.symmetric_mm.p99)]);
+  if (lost.symmetric_mm) facts.push(["shape lost, 99 %", `${mm(lost.symmetric_mm.p99)} mm`]);
   if (lost.color_de2000) facts.push(["colour lost, mean", `dE ${number(lost.color_de2000.mean, 2)}`]);
   if (lost.charts) facts.push(["charts", `${lost.charts}, ${Math.round(100 * lost.atlas_use)} % used`]);
   if (job.counts && job.counts.prepared) facts.push(["triangles", job.counts.prepared.triangles.toLocaleString("en")]);

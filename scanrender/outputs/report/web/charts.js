@@ -1,16 +1,25 @@
 // Times as inline SVG.
 const colourOf = (index) => `var(--c${index % 8})`;
 
+/** One bar of parts [{value, colour, title}], as long as `most` allows; words stay out of it, so that
+    they are as large on a phone. */
+function barOf(parts, most) {
+  let x = 0;
+  return svg("svg", {viewBox: "0 0 100 10", preserveAspectRatio: "none", "aria-hidden": "true"},
+    svg("rect", {class: "track", width: 100, height: 10}),
+    parts.map(({value, colour, title}) => {
+      const from = x, width = 100 * value / most;
+      x += width;
+      return svg("rect", {x: from, width, height: 10, fill: colour}, svg("title", {}, title));
+    }));
+}
+
 /** Horizontal bars, one a row: [{name, value, note}]. */
-function bars(rows, title, format = seconds) {
-  const most = Math.max(...rows.map((row) => row.value), 1e-9), line = 30, width = 420;
-  return svg("svg", {viewBox: `0 0 ${width} ${rows.length * line}`, role: "img", "aria-label": `${title}: ${rows.map((row) => `${row.name} ${format(row.value)}`).join(", ")}`},
-    rows.map((row, index) => [
-      svg("text", {x: 0, y: index * line + 19}, row.name),
-      svg("rect", {class: "track", x: 130, y: index * line + 8, width: 180, height: 14, rx: 4}),
-      svg("rect", {x: 130, y: index * line + 8, width: Math.max(2, 180 * row.value / most), height: 14, rx: 4, fill: colourOf(index)}),
-      svg("text", {x: width, y: index * line + 19, "text-anchor": "end"}, format(row.value), row.note ? svg("tspan", {class: "soft"}, ` ${row.note}`) : ""),
-    ]));
+function bars(rows, title) {
+  const most = Math.max(...rows.map((row) => row.value), 1e-9);
+  return el("dl", {class: "bars", "aria-label": title}, rows.map((row, index) => el("div", {},
+    el("dt", {}, row.name), barOf([{value: row.value, colour: colourOf(index), title: seconds(row.value)}], most),
+    el("dd", {}, seconds(row.value), row.note ? el("span", {class: "soft"}, ` ${row.note}`) : ""))));
 }
 
 /** A column for each frame: what it took. */
@@ -31,21 +40,11 @@ function frameTimes(job) {
 function batchTimes(jobs) {
   const rows = jobs.filter((job) => total(job) > 0).sort((a, b) => total(b) - total(a)).slice(0, 20);
   if (!rows.length) return null;
-  const stages = [...new Set(rows.flatMap((job) => Object.keys(job.seconds)))], most = total(rows[0]), line = 30;
+  const stages = [...new Set(rows.flatMap((job) => Object.keys(job.seconds)))], most = total(rows[0]);
   return el("figure", {},
-    svg("svg", {viewBox: `0 0 900 ${rows.length * line}`, role: "img", "aria-label": `time of each scan: ${rows.map((job) => `${job.label} ${seconds(total(job))}`).join(", ")}`, class: "wide"},
-      rows.map((job, index) => {
-        let x = 230;
-        return [
-          svg("text", {x: 0, y: index * line + 19}, job.label.length > 32 ? `${job.label.slice(0, 31)}…` : job.label),
-          stages.map((stage, which) => {
-            const width = 590 * (job.seconds[stage] || 0) / most, from = x;
-            x += width;
-            return svg("rect", {x: from, y: index * line + 7, width, height: 16, fill: colourOf(which)}, svg("title", {}, `${stage} ${seconds(job.seconds[stage] || 0)}`));
-          }),
-          svg("text", {x: 900, y: index * line + 19, "text-anchor": "end"}, seconds(total(job))),
-        ];
-      })),
+    el("dl", {class: "bars wide", "aria-label": "time of each scan"}, rows.map((job) => el("div", {}, el("dt", {}, job.label),
+      barOf(stages.map((stage, which) => ({value: job.seconds[stage] || 0, colour: colourOf(which), title: `${stage} ${seconds(job.seconds[stage] || 0)}`})), most),
+      el("dd", {}, seconds(total(job)))))),
     el("figcaption", {class: "keys"}, stages.map((stage, which) => el("span", {}, el("i", {style: {background: colourOf(which)}}), stage)),
       jobs.length > rows.length && rows.length === 20 ? el("span", {}, `the 20 that took longest of ${jobs.length}`) : ""));
 }

@@ -27,8 +27,8 @@ function fidelityOf(job) {
   if (!lost) return "";
   const rows = [];
   const distance = (name, label) => lost[name] && rows.push([label, ["mean", "p99", "max"].map((key) => mm(lost[name][key]))]);
-  distance("prepared_to_raw_mm", "prepared to raw");
-  distance("raw_to_prepared_mm", "raw to prepared");
+  distance("prepared_to_raw_mm", "prepared to raw, mm");
+  distance("raw_to_prepared_mm", "raw to prepared, mm");
   const colour = lost.color_de2000;
   if (colour) rows.push(["colour, dE2000", ["mean", "p99", "max"].map((key) => (colour[key] === undefined ? "" : number(colour[key], 2)))]);
   const words = [

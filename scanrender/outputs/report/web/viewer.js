@@ -84,7 +84,7 @@ function viewerOf(job, layers) {
     [job, ...othersOf(job)].map((other) => el("optgroup", {label: other === job ? "this scan" : other.label, "data-job": other.id},
       other === job ? layers.map((layer, index) => el("option", {value: `${job.id}/${index}`}, layer.title))
         : el("option", {value: `${other.id}/same`}, "the same as A"))));
-  const readout = el("tbody"), place = el("caption", {}, "pixel"), legend = el("div", {class: "legend", "aria-live": "polite"});
+  const readout = el("div", {"aria-live": "polite"}), place = el("div", {class: "soft"}, "point at the picture, or click it and use the arrow keys"), legend = el("div", {class: "legend", "aria-live": "polite"});
   const zoomed = el("span", {class: "small soft num"}, "fit");
 
   function sideOf(name) {
@@ -151,19 +151,20 @@ function viewerOf(job, layers) {
     }
     if (mine !== asked) return;
     const [, first, at] = rows[0], step = first.values ? first.values.step : 1;
-    place.textContent = `pixel ${at.x}, ${at.y}${step > 1 ? ` (every ${step}th is kept)` : ""}`;
-    readout.replaceChildren(...rows.map(([name, layer, found]) => el("tr", {}, el("th", {scope: "row"}, right ? `${name}  ${layer.title}` : layer.title), words(layer, found))));
+    place.textContent = `pixel ${at.x}, ${at.y}${step > 1 ? ` (of each ${step} × ${step} one is kept)` : ""}`;
+    readout.replaceChildren(...rows.map(([name, layer, found]) => el("div", {class: "row"}, el("span", {class: "soft"}, right ? `${name}  ${layer.title}` : layer.title), words(layer, found))));
   }
   function words(layer, {values}) {
-    if (!values) return el("td", {}, "this browser cannot unpack values");
-    if (values.every((value) => value === null)) return el("td", {}, "no surface");
-    const unit = layer.unit === "no unit" ? "" : ` ${layer.unit}`;
-    return el("td", {"data-values": values.join(" ")}, values.map((value, index) => el("div", {}, `${layer.channels[index]} ${number(value)}${unit}`.trim())));
+    if (!values) return el("div", {}, "this browser cannot unpack values");
+    if (values.every((value) => value === null)) return el("div", {}, "no surface");
+    const unit = layer.unit.length > 6 ? "" : layer.unit; // longer ones are sentences of the legend
+    return el("div", {class: "numbers", "data-values": values.join(" ")},
+      values.map((value, index) => el("span", {}, el("i", {}, layer.channels[index]), value === null ? "–" : number(value))), el("span", {class: "soft"}, unit));
   }
 
   function legendOf(layer) {
     return [
-      el("div", {class: "head"}, el("span", {class: "name"}, layer.title), el("span", {class: "soft"}, `${layer.unit} · ${layer.space}`)),
+      el("div", {class: "name"}, layer.title), el("div", {class: "soft"}, `${layer.unit} · ${layer.space}`),
       el("p", {class: "soft"}, layer.meaning),
       layer.bars.map((bar) => el("div", {},
         el("div", {class: "ramp", style: {background: `linear-gradient(90deg, ${bar.colours.join(",")})`}}),
@@ -262,14 +263,14 @@ function viewerOf(job, layers) {
   });
   new ResizeObserver(() => pan(0, 0)).observe(stage);
 
-  const node = el("div", {class: "card viewer"}, stage, el("div", {class: "controls"},
+  const node = el("div", {class: "card viewer"}, stage, el("div", {class: "controls", tabindex: -1},
     el("label", {}, "A, on the left", chooseA), el("label", {}, "B, on the right", chooseB),
     el("label", {}, "A ⟷ B", slider),
     el("div", {class: "zoom"},
       el("button", {type: "button", "aria-label": "zoom out", on: {click: () => zoomTo(view.scale / 1.5)}}, "−"),
       el("button", {type: "button", "aria-label": "zoom in", on: {click: () => zoomTo(view.scale * 1.5)}}, "+"),
       el("button", {type: "button", on: {click: () => zoomTo(1)}}, "Fit"), zoomed),
-    el("table", {class: "readout"}, place, readout), legend));
+    el("div", {class: "readout"}, place, readout), legend));
   // What people look for first is the picture; where `display` was dumped, with its numbers.
   const first = layers.findIndex((layer) => layer.name === "display");
   setA(Math.max(0, first));
