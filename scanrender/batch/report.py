@@ -22,9 +22,7 @@ from scanrender.batch.summary import SUMMARY_NAME, Failure, read_summary
 from scanrender.errors import ConfigError, ScanrenderError
 from scanrender.files import clean_stale, write_text
 from scanrender.outputs.manifest import MANIFEST_NAME
-from scanrender.outputs.report.layers import layers_of_frame
 from scanrender.outputs.report.page import safe_json, write_page
-from scanrender.outputs.report.turn import still_of, turn_of
 from scanrender.settings.pipeline import Pipeline
 
 REPORT_NAME, PIXELS = "report.html", ".report"
@@ -200,6 +198,10 @@ def _read_pictures(
     frames: list[Path], videos: list[Path], pages: list[Path], buffers: list[Path]
 ) -> Json:
     """A picture that cannot be read is told, and costs no report."""
+    # Here, since a run that has nothing to do must not wait for what reads pictures.
+    from scanrender.outputs.report.layers import layers_of_frame
+    from scanrender.outputs.report.turn import still_of, turn_of
+
     found: Json = {"turn": {}, "layers": [], "page": "", "unread": []}
     try:
         found["turn"] = turn_of(frames, videos[0] if videos else None)
