@@ -27,7 +27,7 @@ from scanrender.settings.pipeline import Pipeline
 
 REPORT_NAME, PIXELS = "report.html", ".report"
 EMBEDDED_BYTES = 24 << 20  # of pixels in the page itself; what is more is loaded from PIXELS
-FORMAT = 1
+FORMAT = 2
 DOWNLOADS = (
     ("turntable.mp4", "video"), ("contact_sheet.png", "contact sheet"), ("figure.png", "figure"),
     ("figure.json", "figure's numbers"), ("pipeline.yaml", "settings"),
@@ -95,14 +95,17 @@ def _document_of_failure(failure: Failure) -> Json:
 
 def _write(out: Path, document: Json) -> Path:
     jobs, embedded, left = [], {}, EMBEDDED_BYTES
-    clean_stale(out / PIXELS)
+    for folder in (out, out / PIXELS):
+        clean_stale(folder)
+    shown = set()
     for number, entry in enumerate(document["jobs"]):
         job = _job(out, entry, number)
-        name, text = _pixels(out, entry, job["id"])
-        if text:
-            job["poster"] = json.loads(text).get("turn", {}).get("poster", "")
-            job["pixels"] = f"{PIXELS}/{name}"
-            if len(text) <= left:
+        stored = _pixels(out, entry)
+        if stored is not None:
+            shown.add(stored.name)
+            job["pixels"] = f"{PIXELS}/{stored.name}"
+            job["poster"], text = _stored(stored, left)
+            if text:
                 embedded[job["id"]] = text
                 left -= len(text)
         jobs.append(job)
@@ -110,7 +113,11 @@ def _write(out: Path, document: Json) -> Path:
     data = {name: document.get(name) for name in names}
     data |= {"title": out.resolve().name, "jobs": jobs, "settings": document["variants"]}
     data |= {"defaults": Pipeline().model_dump(mode="json")}
-    return write_page(out / REPORT_NAME, data, embedded)
+    page = write_page(out / REPORT_NAME, data, embedded)
+    for old in (out / PIXELS).glob("*.js"):  # after the page that may have named them
+        if old.name not in shown:
+            old.unlink(missing_ok=True)
+    return page
 
 
 def _job(out: Path, entry: Json, number: int) -> Json:
@@ -162,12 +169,21 @@ def _link(out: Path, path: Path, label: str) -> Json:
     return {"label": label, "name": path.name, "href": href, "bytes": path.stat().st_size}
 
 
-def _pixels(out: Path, entry: Json, name: str) -> tuple[str, str]:
-    """File in PIXELS and JSON text of a job's pictures, from there if they are still those; empty
-    text where there are none."""
+def _stored(path: Path, most: int) -> tuple[str, str]:
+    """The poster of a file in PIXELS, and its JSON if that has at most `most` bytes: a thousand
+    scans are gigabytes, of which the page takes little."""
+    with path.open(encoding="utf-8") as stream:
+        poster = str(json.loads(stream.readline().removeprefix("// "))["poster"])
+        if path.stat().st_size > most:
+            return poster, ""
+        return poster, stream.readline().partition(",")[2].removesuffix(");\n")
+
+
+def _pixels(out: Path, entry: Json) -> Path | None:
+    """The file in PIXELS with a job's pictures, made if they have changed; None without any."""
     folder = out / str(entry["folder"])
     if entry["status"] == "failed":
-        return "", ""
+        return None
     frames = sorted((folder / FRAMES).glob("*.png")) or sorted((folder / RESUME_FRAMES).glob("*"))
     videos = [path for path in [folder / "turntable.mp4"] if path.exists()]
     pages = [
@@ -176,22 +192,16 @@ def _pixels(out: Path, entry: Json, name: str) -> tuple[str, str]:
     buffers = sorted((folder / "buffers").glob("frame_*.exr"))
     used = [*frames, *videos, *pages[:1], *buffers]
     if not used:
-        return "", ""
+        return None
     stats = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in used]
     key = hashlib.sha256(repr((FORMAT, __version__, stats)).encode()).hexdigest()[:16]
     place = hashlib.sha256(str(entry["folder"]).encode()).hexdigest()[:8]
-    file = f"{place}-{key}.js"
-    stored = out / PIXELS / file
-    before, after = f'scanrenderPixels("{key}",', ");\n"
-    try:
-        text = stored.read_text(encoding="utf-8").removeprefix(before).removesuffix(after)
-        json.loads(text)
-    except (OSError, ValueError):
-        text = safe_json({**_read_pictures(frames, videos, pages, buffers), "key": key})
-        for old in (out / PIXELS).glob(f"{place}-*.js"):
-            old.unlink(missing_ok=True)
-        write_text(stored, before + text + after)
-    return file, text
+    stored = out / PIXELS / f"{place}-{key}.js"
+    if not stored.exists():
+        found = {**_read_pictures(frames, videos, pages, buffers), "key": key}
+        first = safe_json({"poster": found["turn"].get("poster", "")})
+        write_text(stored, f'// {first}\nscanrenderPixels("{key}",{safe_json(found)});\n')
+    return stored
 
 
 def _read_pictures(
