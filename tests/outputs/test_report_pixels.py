@@ -147,6 +147,11 @@ def test_a_strip_is_made_of_frames(tmp_path: Path):
     check(turn_of(files, None), 7)
 
 
+def test_frames_of_a_part_keep_their_numbers(tmp_path: Path):
+    files = [write_bytes_png(tmp_path / f"frame_{i:04d}.png", colour(i)) for i in (8, 9)]
+    assert turn_of(files, None)["shown"] == [8, 9]
+
+
 def test_a_strip_is_made_of_a_video_in_its_colours(tmp_path: Path):
     path = tmp_path / "turn.mp4"
     with VideoWriter(path, 32, 48, fps=8) as video:

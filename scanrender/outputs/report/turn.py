@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import math
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -76,7 +77,13 @@ def spread(count: int) -> list[int]:
 def _pictures(frames: Sequence[Path], video: Path | None) -> Iterator[tuple[int, Image.Image]]:
     if frames:
         for index in spread(len(frames)):
-            yield index, Image.fromarray(np.ascontiguousarray(read_colors(frames[index]), np.uint8))
+            # A part of a turn has the angles of its own frames.
+            named = re.search(r"(\d+)$", frames[index].stem)
+            number = int(named[1]) if named else index
+            yield (
+                number,
+                Image.fromarray(np.ascontiguousarray(read_colors(frames[index]), np.uint8)),
+            )
     elif video is not None:
         yield from _of_video(video)
 
