@@ -51,20 +51,23 @@ def test_declared_dependency_is_bounded_and_pinned_within_its_range(requirement:
 
 
 def test_every_pinned_package_is_needed_and_nothing_needed_is_left_out():
-    """Walks what is installed from what is declared; extras of dependencies are not ours."""
-    todo = [canonicalize_name(requirement.name) for requirement in declared()]
-    needed = set(todo)
+    """Walks what is installed from what is declared, with the extras that are asked for."""
+    todo = [(canonicalize_name(found.name), frozenset(found.extras)) for found in declared()]
+    seen = set(todo)
     while todo:
+        package, extras = todo.pop()
         try:
-            requires = importlib.metadata.requires(todo.pop()) or []
+            requires = importlib.metadata.requires(package) or []
         except importlib.metadata.PackageNotFoundError:
             continue  # the build back end, in an environment that was installed without it
         for requirement in map(Requirement, requires):
-            name = canonicalize_name(requirement.name)
-            applies = requirement.marker is None or requirement.marker.evaluate({"extra": ""})
-            if applies and name not in needed:
-                needed.add(name)
-                todo.append(name)
+            marker = requirement.marker
+            applies = marker is None or any(marker.evaluate({"extra": x}) for x in ("", *extras))
+            found = (canonicalize_name(requirement.name), frozenset(requirement.extras))
+            if applies and found not in seen:
+                seen.add(found)
+                todo.append(found)
+    needed = {name for name, _ in seen}
     assert needed <= set(pins()), "pin these in constraints.txt"
     # What builds the package is not walked everywhere, see above.
     build = {"editables", "trove-classifiers", "tomlkit", "pathspec", "pluggy", "packaging"}

@@ -23,11 +23,13 @@ from pathlib import Path
 MARK = "SCANRENDER_KILL_TEST"
 # What tells times, and so differs from run to run.
 TELLING = {"record.json", "log.txt", "manifest.json", "batch.json", "asset.json",
-           "prep_report.json", "prep_sheet.png"}  # fmt: skip
+           "prep_report.json", "prep_sheet.png", "report.html"}  # fmt: skip
+REPORT = ".report"  # what report.html shows; its names say when the files were written
 
 
 def contents(folder: Path) -> dict[str, bytes]:
     files = [path for path in folder.rglob("*") if path.is_file() and path.name not in TELLING]
+    files = [path for path in files if path.parent.name != REPORT]
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
@@ -78,7 +80,7 @@ class Batch:
         while marked(self.mark) and time.monotonic() < end:
             time.sleep(0.05)
         found = [f"process {process}" for process in marked(self.mark)]
-        hidden = list(self.out.rglob(".*"))
+        hidden = [path for path in self.out.rglob(".*") if path.name != REPORT]
         return found + [str(path) for path in [*hidden, *self.temporary.iterdir()]]
 
 

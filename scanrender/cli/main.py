@@ -16,6 +16,7 @@ COMMANDS = {
     "demo": ("demo", "Make our own raw head, prepare it, and render its turntable."),
     "run": ("run", "Run a pipeline on one or several scans; what is done already stays."),
     "cache": ("cache", "Say what earlier runs left, check it, and why it would be made again."),
+    "report": ("morning", "Write the page that explains a folder of results: report.html."),
     "prep": ("prep", "Prepare a raw scan: clean, simplify, unwrap, bake into an asset folder."),
     "render": ("render", "Render frames and buffers of a prepared asset."),
     "plan": ("plan", "Say what a shot can leave out, what that changes, and what it saves."),

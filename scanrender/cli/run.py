@@ -94,6 +94,7 @@ def command(
     from scanrender.cli.report import print_batch
 
     print_batch(batch, out, as_json)
+    _report(out, batch)
     batch.raise_if_failed()
 
 
@@ -157,6 +158,20 @@ def _run(jobs: list[Job], out: Path, chosen: Options, progress_kind: str) -> Bat
         return run_jobs(
             jobs, out, lambda job, stage, share: show_job(job.label, stage, share), say, chosen
         )
+
+
+def _report(out: Path, batch: Batch) -> None:
+    """report.html. Results that are complete do not fail for the want of a page about them."""
+    from scanrender.batch.report import report_of_run
+    from scanrender.errors import ScanrenderError
+
+    try:
+        page = report_of_run(out, batch)
+    except ScanrenderError as error:
+        click.echo(f"no report: {error}", err=True)
+        return
+    if page is not None:
+        click.echo(f"report: {page}", err=True)
 
 
 def _own_head(out: Path) -> Path:

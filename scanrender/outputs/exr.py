@@ -18,7 +18,7 @@ How to check a file alone: `oiiotool --info -v FILE.exr`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -141,6 +141,39 @@ def read_exr(path: Path | str) -> dict[str, Image]:
     finally:
         source.close()
     return layers
+
+
+def layers_of(path: Path | str, at_once: int = 128 << 20) -> Iterator[tuple[str, Image]]:
+    """What `read_exr` reads, `alpha` first, with at most about `at_once` bytes in memory: a frame
+    with all of its buffers takes a gigabyte. Raises ScanError as `read_exr` does."""
+    source = OpenImageIO.ImageInput.open(str(path))
+    if source is None:
+        raise ScanError(f"cannot read EXR {path}: {OpenImageIO.geterror()}", where=str(path))
+    try:
+        part = 0
+        while source.seek_subimage(part, 0):
+            spec = source.spec()
+            most = max(3, at_once // max(1, 4 * spec.width * spec.height))
+            columns = _columns_by_layer(spec.channelnames)
+            groups: list[list[str]] = [[]]
+            for name in sorted(columns, key=lambda name: (name != "alpha", columns[name])):
+                if sum(len(columns[other]) for other in (*groups[-1], name)) > most and groups[-1]:
+                    groups.append([])
+                groups[-1].append(name)
+            for group in groups:
+                wanted = [column for name in group for column in columns[name]]
+                first, last = min(wanted), max(wanted) + 1
+                pixels = source.read_image(part, 0, first, last, OpenImageIO.FLOAT)
+                if pixels is None:
+                    what = f"cannot decode EXR {path}: {source.geterror()}"
+                    raise ScanError(what, where=str(path))
+                pixels = pixels.reshape(spec.height, spec.width, last - first)
+                for name in group:
+                    own = [column - first for column in columns[name]]
+                    yield name, np.ascontiguousarray(pixels[:, :, own], dtype=np.float32)
+            part += 1
+    finally:
+        source.close()
 
 
 def _chosen_names(frame: Frame, names: Sequence[str] | None) -> list[str]:

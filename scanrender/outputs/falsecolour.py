@@ -49,7 +49,7 @@ CHECKER = ((64, 64, 66), (73, 73, 75))
 
 
 @dataclass(frozen=True)
-class _Bar:
+class Bar:
     """One colour bar of the legend: `table` (256, 3) display bytes from `low` to `high`."""
 
     label: str
@@ -59,11 +59,11 @@ class _Bar:
 
 
 @dataclass(frozen=True)
-class _Shown:
+class Shown:
     """A buffer as display bytes (h, w, 3), with the bars and remarks that explain it."""
 
     picture: Bytes
-    bars: tuple[_Bar, ...]
+    bars: tuple[Bar, ...]
     remarks: tuple[str, ...]
 
 
@@ -80,18 +80,7 @@ def false_colour_png(
 
 def false_colour(spec: BufferSpec, pixels: Floats, alpha: Floats | None = None) -> Bytes:
     """What `false_colour_png` writes: (H, W, 3) uint8, picture above legend, W >= 480."""
-    if pixels.ndim == 2:
-        pixels = pixels[:, :, None]
-    if pixels.shape[2] != len(spec.channels):
-        raise ValueError(f"{spec.name} of shape {pixels.shape} is not a {spec.kind}")
-    if alpha is not None and alpha.shape != pixels.shape[:2]:
-        raise ValueError(f"alpha {alpha.shape} does not fit {spec.name} {pixels.shape}")
-    finite = np.isfinite(pixels).all(axis=2)
-    covered = np.ones(finite.shape, bool) if alpha is None else np.asarray(alpha > 0)
-    subject = finite & covered
-    values = np.nan_to_num(pixels, nan=0.0, posinf=0.0, neginf=0.0)
-    shown = _SHOW[spec.kind](spec, values, subject)
-
+    shown, finite, covered = _explained(spec, pixels, alpha)
     picture = shown.picture
     picture[~finite] = MAGENTA
     height, width = picture.shape[:2]
@@ -100,9 +89,38 @@ def false_colour(spec: BufferSpec, pixels: Floats, alpha: Floats | None = None) 
     if alpha is not None:
         empty = (finite & ~covered).repeat(grow, axis=0).repeat(grow, axis=1)
         picture[empty] = _checker(*picture.shape[:2])[empty]
-    remarks = list(shown.remarks) if subject.any() else ["no surface in this picture"]
     bad = int(finite.size - np.count_nonzero(finite))
-    return _with_legend(picture, spec, shown.bars, remarks, bad)
+    return _with_legend(picture, spec, shown.bars, list(shown.remarks), bad)
+
+
+def explained(spec: BufferSpec, pixels: Floats, alpha: Floats | None = None) -> Shown:
+    """What `false_colour` draws, in parts: for pages that write the legend themselves."""
+    shown, finite, covered = _explained(spec, pixels, alpha)
+    shown.picture[~finite] = MAGENTA
+    if alpha is not None:
+        empty = finite & ~covered
+        shown.picture[empty] = _checker(*empty.shape)[empty]
+    bad = int(finite.size - np.count_nonzero(finite))
+    remarks = (*shown.remarks, *([f"{bad} px not finite (NaN or Inf)"] if bad else []))
+    return replace(shown, remarks=tuple(filter(None, remarks)))
+
+
+def _explained(spec: BufferSpec, pixels: Floats, alpha: Floats | None) -> tuple[Shown, Mask, Mask]:
+    """Picture and legend, and where it is finite, and covered."""
+    if pixels.ndim == 2:
+        pixels = pixels[:, :, None]
+    if pixels.shape[2] != len(spec.channels):
+        raise ValueError(f"{spec.name} of shape {pixels.shape} is not a {spec.kind}")
+    if alpha is not None and alpha.shape != pixels.shape[:2]:
+        raise ValueError(f"alpha {alpha.shape} does not fit {spec.name} {pixels.shape}")
+    finite: Mask = np.asarray(np.isfinite(pixels).all(axis=2))
+    covered: Mask = np.ones(finite.shape, bool) if alpha is None else np.asarray(alpha > 0)
+    subject = finite & covered
+    values = np.nan_to_num(pixels, nan=0.0, posinf=0.0, neginf=0.0)
+    shown = _SHOW[spec.kind](spec, values, subject)
+    if not subject.any():
+        shown = replace(shown, remarks=("no surface in this picture",))
+    return shown, finite, covered
 
 
 def with_common_range(spec: BufferSpec, pictures: Sequence[tuple[Floats, Floats]]) -> BufferSpec:
@@ -123,15 +141,15 @@ def with_common_range(spec: BufferSpec, pictures: Sequence[tuple[Floats, Floats]
     return replace(spec, span=(low, max(high, low + 1e-6)))
 
 
-def _show_scalar(spec: BufferSpec, values: Floats, subject: Mask) -> _Shown:
+def _show_scalar(spec: BufferSpec, values: Floats, subject: Mask) -> Shown:
     low, high = spec.span or _percentiles(values[:, :, 0][subject])
     table = diverging_table() if low == -high else sequential_table()
     levels = bytes_from_unit(_unit_from_range(values[:, :, 0], low, high))
     remarks = (_data_range(values[subject]), _share_outside(values[subject], low, high))
-    return _Shown(table[levels], (_Bar("", table, low, high),), remarks)
+    return Shown(table[levels], (Bar("", table, low, high),), remarks)
 
 
-def _show_vector(spec: BufferSpec, values: Floats, subject: Mask) -> _Shown:
+def _show_vector(spec: BufferSpec, values: Floats, subject: Mask) -> Shown:
     channels = []
     bars = []
     for axis, name in enumerate("XYZ"):
@@ -140,30 +158,30 @@ def _show_vector(spec: BufferSpec, values: Floats, subject: Mask) -> _Shown:
         # From grey, not from black: pure blue is unreadable on a dark panel.
         table = np.full((256, 3), 56, np.uint8)
         table[:, axis] = np.linspace(56, 255, 256)
-        bars.append(_Bar(f"{name} {('red', 'green', 'blue')[axis]}", table, low, high))
+        bars.append(Bar(f"{name} {('red', 'green', 'blue')[axis]}", table, low, high))
     picture = bytes_from_unit(np.stack(channels, axis=2))
     remark = "X Y Z shown as R G B" + ("" if spec.span else ", each over its own range")
-    return _Shown(picture, tuple(bars), (remark,))
+    return Shown(picture, tuple(bars), (remark,))
 
 
-def _show_colour(spec: BufferSpec, values: Floats, subject: Mask) -> _Shown:
+def _show_colour(spec: BufferSpec, values: Floats, subject: Mask) -> Shown:
     seen = values[subject]
     ramp = np.linspace(0.0, 1.0, 256)[:, None].repeat(3, axis=1)
     if spec.space == LINEAR:
         bright = float(np.percentile(seen, 99.5)) if seen.size else 0.0
         white = spec.span[1] if spec.span else max(1.0, bright)
         picture = bytes_from_unit(srgb_from_linear(np.clip(values, 0.0, white) / white))
-        bar = _Bar("", bytes_from_unit(srgb_from_linear(ramp)), 0.0, white)
+        bar = Bar("", bytes_from_unit(srgb_from_linear(ramp)), 0.0, white)
         exposure = "exposure x1" if white == 1.0 else f"exposure x{1.0 / white:.3g}, auto-scaled"
         remarks = (f"sRGB-encoded, {exposure}", _data_range(seen), _share_outside(seen, 0.0, white))
-        return _Shown(picture, (bar,), remarks)
+        return Shown(picture, (bar,), remarks)
     low, high = spec.span or _percentiles(seen)
     if not spec.span and low > 0.0:
         low = 0.0  # radii and ratios are read against zero
     picture = bytes_from_unit(_unit_from_range(values, low, high))
-    bar = _Bar("", bytes_from_unit(ramp), low, high)
+    bar = Bar("", bytes_from_unit(ramp), low, high)
     linear = "shown as it is" if (low, high) == (0.0, 1.0) else "R G B, linear over the range"
-    return _Shown(picture, (bar,), (linear, _data_range(seen), _share_outside(seen, low, high)))
+    return Shown(picture, (bar,), (linear, _data_range(seen), _share_outside(seen, low, high)))
 
 
 _SHOW = {"scalar": _show_scalar, "vector": _show_vector, "colour": _show_colour}
@@ -214,7 +232,7 @@ def _checker(height: int, width: int) -> Bytes:
 
 
 def _with_legend(
-    picture: Bytes, spec: BufferSpec, bars: tuple[_Bar, ...], remarks: list[str], bad: int
+    picture: Bytes, spec: BufferSpec, bars: tuple[Bar, ...], remarks: list[str], bad: int
 ) -> Bytes:
     """`picture` with a panel under it. All measures follow the body size, in px."""
     width = max(MIN_WIDTH, picture.shape[1])
@@ -262,7 +280,7 @@ def _draw_heading(
 
 
 def _draw_bars(
-    sheet: Image.Image, bars: tuple[_Bar, ...], at: tuple[int, int], inner: int, body: int
+    sheet: Image.Image, bars: tuple[Bar, ...], at: tuple[int, int], inner: int, body: int
 ) -> None:
     """Colour bars side by side over `inner` px, ticks under each, its label between them."""
     small = round(body * 0.9)

@@ -53,8 +53,9 @@ def assets(folder: Path) -> Path:
 
 
 def results(folder: Path) -> dict[str, bytes]:
-    telling = ("manifest.json", "batch.json", "asset.json", "prep_report.json")
+    telling = ("manifest.json", "batch.json", "asset.json", "prep_report.json", "report.html")
     names = {name for name in files_in(folder) if name.split("/")[-1] not in telling}
+    names = {name for name in names if not name.startswith(".report/")}
     return {name: (folder / name).read_bytes() for name in names}
 
 
