@@ -68,3 +68,10 @@ def _acquired(path: Path) -> int | None:
             if os.fstat(descriptor).st_ino == path.stat().st_ino:
                 return descriptor
         os.close(descriptor)
+
+
+def drop_unheld(folder: Path) -> None:
+    """Remove the lock's file that a killed process left: it locks nothing, and looks as if."""
+    if (folder / LOCK_NAME).exists():
+        with contextlib.suppress(OutputError), locked(folder):
+            pass  # leaving removes it

@@ -24,6 +24,7 @@ from typing import IO, Any
 from scanrender import errors
 from scanrender.batch.jobs import Job
 from scanrender.batch.leftovers import clean_leftovers
+from scanrender.batch.lock import drop_unheld
 from scanrender.batch.log import LOG_NAME
 from scanrender.batch.memory import free_mib
 from scanrender.batch.worker import as_task
@@ -282,6 +283,7 @@ class Pool:
 def _clean(job: Job) -> None:
     """What a killed worker, or its children, left half-written."""
     clean_leftovers(job.folder)
+    drop_unheld(job.folder)
     if job.asset.parent != job.folder and job.prepares:
         clean_stale(job.asset.parent)
     clean_stale(Path(tempfile.gettempdir()), SCRATCH_PREFIX)

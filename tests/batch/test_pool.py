@@ -19,7 +19,7 @@ from render.synthetic import pipeline, sphere
 from scanrender.asset import save_asset
 from scanrender.batch import pool
 from scanrender.batch.jobs import Job, make_jobs
-from scanrender.batch.lock import LOCK_NAME, locked
+from scanrender.batch.lock import LOCK_NAME, drop_unheld, locked
 from scanrender.batch.run import Batch, Options, run_jobs
 from scanrender.batch.turntable import _check_device
 from scanrender.errors import CrashError, OutputError
@@ -283,3 +283,14 @@ def test_a_disk_that_fills_and_is_freed(assets, tmp_path: Path, expected):
         assert list(out.rglob(".*")) == []
     finally:
         subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_the_lock_of_a_killed_process_goes_and_a_held_one_stays(tmp_path: Path):
+    """A worker that Ctrl-C's end killed left its lock's file, which locks nothing."""
+    left = tmp_path / LOCK_NAME
+    left.write_text("process 1 on nowhere")
+    drop_unheld(tmp_path)
+    assert not left.exists()
+    with locked(tmp_path):
+        drop_unheld(tmp_path)
+        assert left.exists()
