@@ -15,9 +15,17 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.measure.float_filters import curvature_step, gaussian_step, separable_step
+from scanrender.measure.float_lights import (
+    disk_step,
+    lab_step,
+    transmission_step,
+    transmittance_step,
+    visibility_step,
+)
 from scanrender.render.check import pixels_of
 from scanrender.render.frame import Renderer
 from scanrender.render.passes._lamp import light_uniforms
+from scanrender.render.passes._scatter import _ray
 from scanrender.render.passes.curvature_raw import LIMIT_PER_MM
 from scanrender.render.passes.energy_ratio import LEAST_SHARE
 from scanrender.render.scene import RHO_COSINES, Scene, Shot
@@ -30,12 +38,17 @@ FLOOR = 1e-3  # of the largest value: below it an error is that of the sum it co
 
 @dataclass(frozen=True)
 class FloatError:
-    """Relative error of one buffer, largest and 99.9 %; and whether the device filters a table."""
+    """Relative error of one buffer, largest and 99.9 %; and whether the device filters a table.
+
+    `known` is the share of values that are compared: not those that hang on a decision (a tap in
+    one texel or the next) nearer to its border than float32 resolves.
+    """
 
     buffer: str
     largest: float
     p999: float
     is_filtered: bool
+    known: float = 1.0
 
 
 def float_errors(renderer: Renderer, frame: int = 0) -> list[FloatError]:
@@ -64,9 +77,11 @@ def _error(name: str, got: Array, expected: Array, is_filtered: bool, guard: int
     # What no filter reads leaves the guard band alone (Pass.in_picture).
     inner = slice(guard, -guard or None)
     got, expected = got[inner, inner, : expected.shape[2]], expected[inner, inner]
-    size = np.maximum(np.abs(expected), FLOOR * np.abs(expected).max())
-    off = np.abs(got - expected) / np.maximum(size, 1e-300)
-    return FloatError(name, float(off.max()), float(np.quantile(off, 0.999)), is_filtered)
+    size = np.maximum(np.abs(expected), FLOOR * np.nanmax(np.abs(expected)))
+    off = (np.abs(got - expected) / np.maximum(size, 1e-300))[np.isfinite(expected)]
+    known = float(np.isfinite(expected).mean())
+    quantile = float(np.quantile(off, 0.999)) if off.size else np.inf
+    return FloatError(name, float(off.max(initial=0.0)), quantile, is_filtered, known)
 
 
 def _covered(b: Buffers, value: Array) -> Array:
@@ -97,10 +112,27 @@ def _rho(scene: Scene, cosine: Array) -> Array:
 
 
 def _jacobian(scene: Scene, shot: Shot, b: Buffers) -> Array:
-    eye, n = _to_eye(shot, b), b["normal_geometry"][:, :, :3]
-    cos_j = np.maximum(np.abs(_dot(n, eye)), 0.05)
+    """The cosine of the normal is the mean of its root at both edges of the pixel."""
+    eye, p = _to_eye(shot, b), b["position"]
+    t = _dot(b["normal_geometry"][:, :, :3], eye) ** 2
+    wide = 0.5 * sum(_change(p, t, axis) for axis in (0, 1))
+    edges = np.sqrt(np.maximum(t - wide, 0.0)) + np.sqrt(np.minimum(t + wide, 1.0))
+    undrawn = 0.26 * np.maximum(1.0 - t / np.maximum(wide, 1e-12), 0.0)
+    cos_j = np.maximum(0.5 * edges / (1.0 + undrawn), 0.05)
     side = shot.px_per_mm(shot.working_distance_mm) / _px_per_mm(shot, b)
     return _covered(b, side**2 * eye[:, :, 2:] / cos_j)
+
+
+def _change(p: Array, t: Array, axis: int) -> Array:
+    """How much `t` changes to the neighbour along `axis` that is nearer in depth."""
+    found, nearest = np.zeros_like(t), np.full_like(t, np.inf)
+    for way in (-1, 1):
+        q = _neighbour(p, axis, way)
+        gap = np.abs(q[:, :, 2:3] - p[:, :, 2:3])
+        nearer = (q[:, :, 3:] > 0.0) & (gap < nearest)
+        found = np.where(nearer, np.abs(_neighbour(t, axis, way) - t), found)
+        nearest = np.where(nearer, gap, nearest)
+    return found
 
 
 def _edge_guide(scene: Scene, shot: Shot, b: Buffers) -> Array:
@@ -264,6 +296,23 @@ def _neighbour(a: Array, axis: int, way: int) -> Array:
     return moved
 
 
+def _visibility(scene: Scene, shot: Shot, b: Buffers) -> Array | None:
+    lamp = next((lamp for lamp in scene.lamps if lamp.index == 0), None)
+    return None if lamp is None else visibility_step(scene, shot, b, lamp)
+
+
+def _transmission(scene: Scene, shot: Shot, b: Buffers) -> Array | None:
+    return transmission_step(scene, shot, b, _incident)
+
+
+def _lab(scene: Scene, shot: Shot, b: Buffers) -> Array | None:
+    return lab_step(scene, shot, b) if scene.pipeline.diffusion.limit_smooth_mm == 0.0 else None
+
+
+def _disk(scene: Scene, shot: Shot, b: Buffers) -> Array | None:
+    return disk_step(scene, shot, b, _ray(shot))
+
+
 Evaluate = Callable[[Scene, Shot, Buffers], "Array | None"]
 # Buffer -> (its evaluation, whether tables are filtered on the way).
 PASSES: Mapping[str, tuple[Evaluate, bool]] = {
@@ -277,9 +326,15 @@ PASSES: Mapping[str, tuple[Evaluate, bool]] = {
     "_horizontal_0": (gaussian_step, True),
     "energy_ratio": (_energy_ratio, False),
     "radiance": (_radiance, False),
+    "visibility_0": (_visibility, False),
+    "transmission": (_transmission, False),
+    "_lab_raw": (lab_step, False),
+    "lab": (_lab, False),
+    "transmittance": (transmittance_step, True),
+    "scattered": (_disk, True),
     "irradiance": (_irradiance, True),
     "specular": (_specular, True),
     "diffuse": (_diffuse, True),
     "display": (_display, True),
 }
-PRIVATE = ("_curvature_1", "_horizontal_0")
+PRIVATE = ("_curvature_1", "_horizontal_0", "_lab_raw")

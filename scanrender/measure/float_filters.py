@@ -111,14 +111,15 @@ def gaussian_step(scene: Scene, shot: Shot, b: Buffers) -> Array | None:
     grid = np.linspace(0.0, TABLE_PX, TABLE_ROWS)
     table = footprint_taps(grid, radius, uniforms["shift_px"], scene.scattered_samples)
     falloff = 0.5 / (variance + step_mm2 / 6.0)
-    total, weights = np.zeros((*rows.z.shape, 3)), np.zeros((*rows.z.shape, 1))
+    total, met = np.zeros((*rows.z.shape, 4)), np.zeros((*rows.z.shape, 1))
     for j in range(-radius, radius + 1):
         light, beyond = rows.tap(np.full(rows.z.shape, float(j)), step_mm2)
         k = np.interp(sigma_px, grid, table[:, j + radius].astype(np.float32))
         k = (k * np.minimum(np.exp(-beyond * falloff), 4.0))[:, :, None]
-        total += k * light[:, :, :3]
-        weights += k * light[:, :, 3:]
-    return rows.result(total, weights)
+        total += k * light
+        met += np.where(light[:, :, 3:] > 0.0, k, 0.0)
+    mean = (total + KEEP * rows.source) / (met + KEEP)
+    return np.where(rows.z[:, :, None] > 0.0, mean, 0.0)
 
 
 def curvature_step(scene: Scene, shot: Shot, b: Buffers) -> Array | None:

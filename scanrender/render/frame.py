@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scanrender.asset import Asset
 from scanrender.buffers import CATALOGUE, Frame, buffer_spec
 from scanrender.errors import ConfigError, StageError, UsageError
-from scanrender.render.camera import Camera, frame_subject
+from scanrender.render.camera import Camera, bounding_radius_mm, frame_subject
 from scanrender.render.check import check_beauty, check_pass
 from scanrender.render.device import Device
 from scanrender.render.graph import Graph, TexturePool
@@ -22,8 +22,8 @@ from scanrender.render.lamps import WIDEST_MAP_DEG
 from scanrender.render.maps import unsound_texels
 from scanrender.render.passes import all_passes
 from scanrender.render.passes._scatter import largest_width_factor
-from scanrender.render.plan import Decision, plan
-from scanrender.render.scene import Scene, Shot
+from scanrender.render.plan import Decision, plan, with_taps_that_meet
+from scanrender.render.scene import Scene, Shot, scattering_of
 from scanrender.render.supersample import Supersampler
 from scanrender.settings.pipeline import Pipeline
 
@@ -52,7 +52,15 @@ class Renderer:
         self.device = device
         _check_size(pipeline, device.most_px)
         self.pipeline, self.decisions = plan(pipeline, asset.maps)
-        self.scene = Scene(device, asset, self.pipeline, None if like is None else like.scene)
+        scattering = scattering_of(self.pipeline)
+        self.pipeline = with_taps_that_meet(
+            self.pipeline,
+            float(scattering.radius_for(0.999).max()),
+            bounding_radius_mm(asset.mesh.positions_mm),
+            self.decisions,
+        )
+        shared = None if like is None else like.scene
+        self.scene = Scene(device, asset, self.pipeline, shared, scattering)
         self.camera = self._camera() if like is None else like._camera_for(self.pipeline)
         self.scene.nearest_px_per_mm = self.camera.px_per_mm(self.camera.near_mm)
         check = check_pass if self.pipeline.quality.check else None

@@ -109,9 +109,15 @@ class Scene:
     """An asset under lights with a material, on the device. Everything a pass may read."""
 
     def __init__(
-        self, device: Device, asset: Asset, pipeline: Pipeline, like: Scene | None = None
+        self,
+        device: Device,
+        asset: Asset,
+        pipeline: Pipeline,
+        like: Scene | None = None,
+        scattering: GaussianSum | None = None,
     ) -> None:
-        """`like` is a scene of the same asset whose mesh and maps are on the device already."""
+        """`like` is a scene of the same asset whose mesh and maps are on the device already;
+        `scattering` is what light spreads by, where it is not what the method says."""
         self.device = device
         self.asset = asset
         self.pipeline = pipeline
@@ -123,9 +129,9 @@ class Scene:
         self.light_level = light_level(pipeline.lights)
         self.profile = profile_of(pipeline.skin)
         self.albedo_power = {"pre": 1.0, "mixed": 0.5, "post": 0.0}[pipeline.skin.texturing]
-        self.levels = self.profile.merged(pipeline.diffusion.gaussians)
         # Radius of 99.9 % of the profile per channel: guard band, culling, kernel_px.
-        self.scattering = scattering_of(pipeline, self.profile)
+        self.scattering = scattering or scattering_of(pipeline)
+        self.levels = self.scattering.merged(pipeline.diffusion.gaussians)
         self.reach_mm = np.asarray(self.scattering.radius_for(0.999), dtype=np.float64)
         scatters = pipeline.diffusion.method != "none"
         self.uses_skin_map = scatters and pipeline.diffusion.mask == "skin" and "skin" in asset.maps
@@ -361,10 +367,10 @@ def profile_of(skin: SkinSettings) -> GaussianSum:
     return profile.scaled(max(skin.scale, narrowest)) if skin.scale != 1.0 else profile
 
 
-def scattering_of(pipeline: Pipeline, profile: GaussianSum) -> GaussianSum:
+def scattering_of(pipeline: Pipeline) -> GaussianSum:
     """The profile that the method spreads light by: the skin's, or the artistic kernel's."""
     if pipeline.diffusion.method != "separable_artistic":
-        return profile
+        return profile_of(pipeline.skin)
     share = pipeline.diffusion.artistic.strength
     weights: dict[float, list[float]] = {}
     for sigmas, shares in zip(

@@ -30,9 +30,9 @@ from scanrender.render.scene import Scene, Shot
 # A Gaussian is empty beyond this many sigma (0.3 % of it).
 REACH_SIGMA = 3.0
 # Taps, over this, are how many times wider than what it blurs a Gaussian may be; no fewer times
-# than LEAST_STEP, which the levels of the measured skin stay below.
-GAPLESS_TAPS = 3.5
-LEAST_STEP = 2.6
+# than LEAST_STEP.
+GAPLESS_TAPS = 5.0
+LEAST_STEP = 1.8
 DIRECT = "diffusion_input"
 # Whole-pixel taps up to this sigma, at any number of samples up to the lesser one.
 TABLE_PX = 4.0
@@ -80,8 +80,10 @@ def blurs(scene: Scene) -> list[Blur]:
     """The profile's levels in order, and before or between them what closes the gaps of their taps.
 
     Taps of a Gaussian many times wider than what it blurs lie far apart, and show as many copies
-    of every edge. Steps in between have taps no further apart than 1.7 sigmas of what is blurred,
-    where copies are 0.2 % high. A profile on a surface that is not very near needs none.
+    of every edge. Steps in between have taps no further apart than 1.2 sigmas of what is blurred,
+    where copies are far below 0.1 % high. An outline has no light beyond it that could be blurred:
+    a wide step would show copies of that, unless what it blurs is nearly as wide as the subject.
+    A profile on a surface that is not very near needs none.
     """
     px_per_mm = scene.nearest_px_per_mm * largest_width_factor(scene)
     widest = max(scene.pipeline.diffusion.samples / GAPLESS_TAPS, LEAST_STEP)

@@ -34,13 +34,14 @@ def passes(scene: Scene) -> list[Pass]:
             levels = [inputs[name] for name, _ in group]
             levels += [levels[0]] * (LEVELS_A_DRAW - len(group))
             uniforms: dict[str, Any] = {f"level_{k}": level for k, level in enumerate(levels)}
+            uniforms["diffusion_input"] = inputs["diffusion_input"]
             uniforms["weight"] = _weights(group)
             uniforms["level_count"] = len(group)
             uniforms["brings_mask"] = first == 0
             bind(program, uniforms)
             device.fill(program)
 
-    reads = tuple(name for name, _ in terms)
+    reads = ("diffusion_input", *(name for name, _ in terms))
     return [Pass("scattered", reads, (Buffer("scattered"),), draw, in_picture=True)]
 
 

@@ -11,6 +11,7 @@
 // no scale constant. HALO_MEASURE: the distance is that of the 3-D points, and a tilted plane's
 // foreshortening narrows the kernel on screen. Check alone: constant irradiance stays constant.
 #define WEIGHT float
+#define CHAIN
 #include "scatter.glsl"
 uniform sampler2D table;         // rows: sigma 0 to table_px; columns: taps -radius to radius
 uniform int radius;              // px

@@ -13,7 +13,11 @@
 //                 as what lies inside, mirrored at the edge. The last pixel in its place would be
 //                 dragged along rows and columns; a kernel wider than all of it would be lost.
 //   WEIGHTS       weight_sum and rejected are written instead of light
-// Sums are normalized by the mask that was met, and premultiplied again by the pixel's own.
+//   CHAIN         what is written is blurred further
+// Sums are normalized by the mask that was met, and premultiplied again: by the pixel's own mask, or in
+// a CHAIN by the mean of the masks that were met. Taps of a later, wider blur are many pixels apart.
+// They may do that because the light has been blurred before, and so must be what it is weighed by: a
+// pixel at a silhouette, which shows up to 20 times the surface of others, would count for all around it.
 #include "screen.glsl"
 uniform sampler2D source;        // RGB premultiplied, a = mask
 uniform sampler2D depth_mm;      // -z, 0 where there is no surface
@@ -58,6 +62,9 @@ float centre_z;
 float mm_per_px;                 // facing, at the centre's depth
 vec3 sum = vec3(0.0);
 WEIGHT total = WEIGHT(0.0);
+#ifdef CHAIN
+WEIGHT met = WEIGHT(0.0);        // weights of what is a surface, whatever its mask
+#endif
 #if defined(HALO_DEPTH) || defined(HALO_MEASURE)
 vec3 centre_ray;                 // way of the ray, z = -1
 vec3 centre_point;               // view, mm
@@ -187,7 +194,8 @@ void add(WEIGHT k, vec4 tap, WEIGHT near, float guided) {
     total += k * kept;
     taps_met += 1.0;
     taps_rejected += dot(k, kept) < 0.5 * dot(k, WEIGHT(1.0)) ? 1.0 : 0.0;
-#elif defined(HALO_DEPTH)
+#else
+#ifdef HALO_DEPTH
     WEIGHT w = k * guided;
     sum += w * mix(centre.rgb, tap.rgb, near);
     total += w * (centre.a + (tap.a - centre.a) * near);
@@ -195,6 +203,10 @@ void add(WEIGHT k, vec4 tap, WEIGHT near, float guided) {
     WEIGHT w = k * near * guided;
     sum += w * tap.rgb;
     total += w * tap.a;
+#endif
+#ifdef CHAIN
+    met += tap.a > 0.0 ? w : WEIGHT(0.0);
+#endif
 #endif
 }
 
@@ -232,7 +244,9 @@ void finish() {
     const float KEEP = 1e-5;
     sum += KEEP * centre.rgb;
     total += WEIGHT(KEEP * centre.a);
-#ifdef MISSING_MASS
+#if defined(CHAIN)
+    scattered = vec4(sum, total) / (met + KEEP);
+#elif defined(MISSING_MASS)
     scattered = vec4(sum * centre.a, centre.a);
 #else
     scattered = vec4(sum * (centre.a / max(total, WEIGHT(1e-12))), centre.a);
