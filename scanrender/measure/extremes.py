@@ -177,6 +177,12 @@ AXES: Mapping[str, Axis] = {
         lambda data, value: merged(
             data, {"camera": {"width_px": value[0], "height_px": value[1]}}),
         "px", ([1, 1], [1, 4096], [8192, 1], [2, 3], [96, 96], [512, 512])),
+    # As `size_px`, for long runs: some GB and half a minute. Only looked at, see `stress.walk`.
+    "frame_px": Axis(
+        _one_of([7680, 4320]),
+        lambda data, value: merged(
+            data, {"camera": {"width_px": value[0], "height_px": value[1]}}),
+        "px", ([7680, 4320],)),
     "lamp": Axis(_one_of(*LAMPS), _lamp_kind, "", LAMPS),
     "irradiance": Axis(_power(-8, 8), _lamp("irradiance"), "π", _powers(-8, 8, 2)),
     "colour": Axis(_one_of([1, 0, 0], [0, 0, 1], [0, 0, 0], [1e-4, 1.0, 1e4]), _lamp("colour"), "",
@@ -265,8 +271,8 @@ def case_of(axes: Mapping[str, Any]) -> Case:
     return Case(**subject, settings=data, axes=dict(axes))
 
 
-# Of those axes that leave little to see.
-CHANCES = {"lights": 0.02, "look_up_mm": 0.1, "size_px": 0.15}
+# Of those axes that leave little to see, or take long.
+CHANCES = {"lights": 0.02, "look_up_mm": 0.1, "size_px": 0.15, "frame_px": 0.0}
 
 
 def random_case(seed: int) -> Case:
@@ -275,7 +281,8 @@ def random_case(seed: int) -> Case:
     rng = np.random.default_rng(seed)
     axes = {}
     for name, axis in AXES.items():
-        if rng.random() < CHANCES.get(name, 0.25):
+        chance = CHANCES.get(name, 0.25)
+        if chance and rng.random() < chance:
             axes[name] = axis.draw(rng)
     for name, axis in SUBJECT.items():
         if rng.random() < 0.5:

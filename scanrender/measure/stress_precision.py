@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from scanrender.measure.extremes import Case, Data, case_of
+from scanrender.measure.extremes import LAMPS, Case, Data, case_of
 from scanrender.measure.float_errors import FloatError, float_errors
 from scanrender.measure.half_errors import half_errors
 from scanrender.measure.stress_page import table
@@ -19,12 +19,18 @@ FLOAT_SCENES: tuple[Data, ...] = (
     {"maps": "noisy", "halo": "cbf"},
     {"maps": "noisy", "roughness": [0.01, 0.05], "irradiance": 1e8},
     {"maps": "noisy", "distance": 100.0, "fov_deg": 1.0},
+    {"maps": "noisy", "method": "disk", "disk_taps": 64},
+    {"maps": "noisy", "limit": "lab"},
+    {"maps": "noisy", "limit": "lab", "limit_smooth_mm": 0.0},
+    {"maps": "noisy", "wrap": 0.3, "scale": 4.0, "lamp": LAMPS[0]},
 )
 FLOATS = """## float32 against float64
 
 Each pass evaluated in float64 NumPy from its input buffers on the device: relative error over
 the pixels of a few scenes (values below a thousandth of the largest count as that). Filtered: a
-table is read through the device's filter, which a GPU does with 8 bits of fraction.
+table is read through the device's filter, which a GPU does with 8 bits of fraction. Compared: the
+share of values that hang on no decision (a tap in one texel or the next, an occluder before the
+surface or not) nearer to its border than float32 resolves.
 """
 HALVES = """## Half floats
 
@@ -47,10 +53,16 @@ def _floats(device: Device) -> str:
         if error.largest >= worst.get(error.buffer, error).largest:
             worst[error.buffer] = error
     rows = [
-        (f"`{e.buffer}`", f"{e.largest:.1e}", f"{e.p999:.1e}", "yes" if e.is_filtered else "")
+        (
+            f"`{e.buffer}`",
+            f"{e.largest:.1e}",
+            f"{e.p999:.1e}",
+            "yes" if e.is_filtered else "",
+            f"{e.known:.2%}",
+        )
         for e in worst.values()
-    ]
-    return table(("Buffer", "Largest", "99.9 %", "Filtered"), rows)
+    ]  # fmt: skip
+    return table(("Buffer", "Largest", "99.9 %", "Filtered", "Compared"), rows)
 
 
 def _float_errors(device: Device) -> Iterator[FloatError]:

@@ -136,6 +136,16 @@ def test_the_command_fails_where_something_is_broken_and_examines_it_again(cli, 
     assert again.stdout.startswith("sound: 0, bound 0")
 
 
+def test_large_pictures_are_walked_in_long_runs_alone(gl: Device, monkeypatch):
+    monkeypatch.setattr(stress, "walk", lambda device, name: [])
+    monkeypatch.setattr(stress.time, "perf_counter", lambda: float("inf"))
+    assert "frame_px" not in stress.run_stress(gl, 1.0).walks
+    assert "frame_px" in stress.run_stress(gl, 20.0).walks
+    assert "frame_px" in stress.run_stress(gl, 0.0, axes=["frame_px"]).walks
+    assert AXES["frame_px"].walk == ([7680, 4320],)
+    assert not any("frame_px" in random_case(number).axes for number in range(300))
+
+
 def test_axes_that_are_none_are_refused(gl: Device):
     with pytest.raises(UsageError, match="no axis is walked that is called joy"):
         stress.run_stress(gl, 0.0, axes=["joy"])
