@@ -77,7 +77,11 @@ def _error(name: str, got: Array, expected: Array, is_filtered: bool, guard: int
     # What no filter reads leaves the guard band alone (Pass.in_picture).
     inner = slice(guard, -guard or None)
     got, expected = got[inner, inner, : expected.shape[2]], expected[inner, inner]
-    size = np.maximum(np.abs(expected), FLOOR * np.nanmax(np.abs(expected)))
+    size = np.abs(expected)
+    if name in VECTORS:
+        size = np.broadcast_to(size.max(axis=2, keepdims=True), size.shape)
+    floor = 1.0 if name in SHARES else FLOOR
+    size = np.maximum(size, floor * np.nanmax(np.abs(expected)))
     off = (np.abs(got - expected) / np.maximum(size, 1e-300))[np.isfinite(expected)]
     known = float(np.isfinite(expected).mean())
     quantile = float(np.quantile(off, 0.999)) if off.size else np.inf
@@ -337,4 +341,9 @@ PASSES: Mapping[str, tuple[Evaluate, bool]] = {
     "diffuse": (_diffuse, True),
     "display": (_display, True),
 }
+# Differences of larger numbers, 0 for grey: relative to the largest of the three.
+VECTORS = ("lab", "_lab_raw")
+# Shares of light that fade in where two depths of a hundred millimetres cancel each other to the
+# last micrometres: relative to the largest of all pixels.
+SHARES = ("transmittance",)
 PRIVATE = ("_curvature_1", "_horizontal_0", "_lab_raw")

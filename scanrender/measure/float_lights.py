@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scanrender.optics.kernels import GOLDEN_ANGLE_RAD, disk_taps
 from scanrender.render.lamps import Lamp
 from scanrender.render.passes._lamp import DISK_TAPS, shadow_uniforms
-from scanrender.render.passes.transmission import TAPS, _transmittance_table
+from scanrender.render.passes.transmission import TABLE_SIZE, TAPS, _transmittance_table
 from scanrender.render.passes.visibility import MAX_PENUMBRA
 from scanrender.render.scene import Scene, Shot
 
@@ -107,7 +107,7 @@ def visibility_step(scene: Scene, shot: Shot, b: Buffers, lamp: Lamp) -> Array |
     shading = b["normal_shading"][:, :, :3]
     geometric, shaded = np.sum(n * to_light, axis=-1), np.sum(shading * to_light, axis=-1)
     agree = np.maximum(np.sum(n * shading, axis=-1), 1e-3)
-    g = np.minimum(1.0, geometric / (np.maximum(shaded, 1e-300) * agree))
+    g = np.clip(geometric / (np.maximum(shaded, 1e-12) * agree), 0.0, 1.0)
     share = np.where((geometric > 0.0) & (shaded > 0.0), g * (1.0 + g * (1.0 - g)), 0.0)
 
     texel = u["texel_mm"]
@@ -150,6 +150,8 @@ def transmittance_step(scene: Scene, shot: Shot, b: Buffers) -> Array | None:
     inside = light_point(u, p - n * bias, n)
     buried = bias * np.maximum(0.0, -facing)
     _, opaque_mm = _transmittance_table(scene)
+    root = np.linspace(0.0, 1.0, TABLE_SIZE)
+    table = scene.profile.transmittance(opaque_mm * root**2).astype(np.float32)
     blur = max(min(settings.blur_mm, MAX_PENUMBRA * scene.radius_mm), texel)
     total, unsure = np.zeros(p.shape), np.zeros(facing.shape, dtype=bool)
     for i in range(TAPS):
@@ -160,7 +162,9 @@ def transmittance_step(scene: Scene, shot: Shot, b: Buffers) -> Array | None:
         thick = np.maximum(0.0, leaves - entry) * inside.way_per_depth + buried
         t = np.clip((thick - bias) / max(bias, 1e-300), 0.0, 1.0)
         fades = np.where(no_path | (thick >= opaque_mm), 0.0, t * t * (3.0 - 2.0 * t))
-        total += fades[..., None] * scene.profile.transmittance(thick)
+        at = np.sqrt(np.minimum(thick / opaque_mm, 1.0))
+        through = [np.interp(at, root, table[:, c]) for c in range(3)]
+        total += fades[..., None] * np.stack(through, axis=-1)
         unsure |= border | (np.abs(entry - leaves - bias) < NEAR_BORDER * texel)
         unsure |= np.abs(thick / opaque_mm - 1.0) < NEAR_BORDER
     lights = (settings.wrap - facing > 0.0) & inside.in_map & (b["position"][:, :, 3] > 0.0)

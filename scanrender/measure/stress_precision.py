@@ -30,7 +30,8 @@ Each pass evaluated in float64 NumPy from its input buffers on the device: relat
 the pixels of a few scenes (values below a thousandth of the largest count as that). Filtered: a
 table is read through the device's filter, which a GPU does with 8 bits of fraction. Compared: the
 share of values that hang on no decision (a tap in one texel or the next, an occluder before the
-surface or not) nearer to its border than float32 resolves.
+surface or not) nearer to its border than float32 resolves. `lab` is relative to the longest of its
+three, `transmittance`, which fades in where two depths cancel, to the largest of all pixels.
 """
 HALVES = """## Half floats
 

@@ -128,7 +128,12 @@ def test_an_artistic_kernel_hands_over_its_own_gaussians(gl: Device):
     artistic = {"near_mm": [0.2] * 3, "far_mm": [150.0] * 3, "strength": [0.1] * 3}
     made = []
     for method in ("separable_artistic", "gaussian_sum"):
-        settings = shot(method, "none", 1.0, artistic=artistic)
+        settings = pipeline(
+            MATT,
+            camera={"width_px": SIZE, "height_px": SIZE, "height_mm": 30.0},
+            lights=[{"type": "directional", "azimuth_deg": 70, "shadow_px": 64}],
+            diffusion={"method": method, "halo": "none", "artistic": artistic},
+        )
         ball = sphere(12.0, (0.7, 0.5, 0.4), rings=16)
         made.append(render(gl, ball, settings, "scattered")["scattered"])
     inside = made[0][:, :, 2] > 0.0
