@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from render.synthetic import MATT, pipeline, plane, render, sphere
 
 from scanrender.measure.extremes import case_of
-from scanrender.measure.invariants import Finding, finer, mirrored
+from scanrender.measure.invariants import Finding, finer_of, mirrored_of
 from scanrender.render.device import Device
 from scanrender.render.frame import Renderer
 
@@ -99,8 +99,8 @@ def test_a_kernel_wider_than_the_subject_does_not_hang_on_its_silhouette(
     """Where samples fell decided how much a silhouette weighed, from 2 to 20 times a facing pixel;
     mirrored, dE2000 0.6 to 1.2. Of nine taps it showed copies of the outline, 0.8 to 1.3."""
     case = case_of({**axes, "samples": samples})
-    for invariant in (mirrored, finer):
-        found = invariant(gl, case)
+    for invariant in (mirrored_of, finer_of):
+        found = invariant(gl, case, 4)
         assert isinstance(found, Finding)
         assert found.holds, found
 
@@ -116,8 +116,8 @@ def test_what_blurs_once_hands_over_to_gaussians_where_its_taps_would_show(
     told = [d for d in renderer.decisions if d.what == f"diffusion.method: {method}"]
     assert len(told) == 1
     assert "single taps would show" in told[0].reason
-    for invariant in (mirrored, finer):
-        found = invariant(gl, case)
+    for invariant in (mirrored_of, finer_of):
+        found = invariant(gl, case, 4)
         assert isinstance(found, Finding)
         assert found.holds, found
 

@@ -81,6 +81,23 @@ def test_what_is_broken_is_found_shrunk_and_written(gl: Device, tmp_path: Path, 
     assert examine(gl, again, invariant).holds
 
 
+@pytest.mark.parametrize(
+    ("invariant", "axes"),
+    [
+        # What reflects all light has none that scatters: 0 of 0.
+        ("furnace", {"f0": 1.0, "strength": 10.0}),
+        # The background is exposed as the picture is, and has no light that could be divided.
+        ("intensity", {"irradiance": 180800.0, "sampling": "contrast", "supersampling": 2}),
+        # Eight taps of a coarse shadow map: 16 samples are too few, 64 are not.
+        ("mirror", {"wrap": 1.0}),
+    ],
+)
+def test_an_invariant_does_not_take_its_own_way_of_looking_for_a_fault(gl: Device, invariant, axes):
+    outcome = examine(gl, case_of(axes), invariant)
+    assert isinstance(outcome, Finding)
+    assert outcome.holds, outcome
+
+
 def test_every_invariant_applies_to_the_plain_scene(gl: Device):
     for name in INVARIANTS:
         outcome = examine(gl, case_of({}), name)
