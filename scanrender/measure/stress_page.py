@@ -30,7 +30,7 @@ LIMITS = """## What is not compared, and why
 - `resolution` of `diffusion.resolution: half`, which is a trade of resolution for time.
 
 Where a kernel outgrows the subject (`skin.scale` from 30 on a head, a head of two millimetres), the
-separable kernels and the disk hand over to the sum of Gaussians, and say so (decision 28).
+separable kernels and the disk hand over to the sum of Gaussians, and say so (decision 29).
 """
 
 
