@@ -20,6 +20,7 @@ from scanrender.batch.keys import RENDERED_MAPS, curvature_scale_mm, prep_reads
 from scanrender.batch.leftovers import clean_leftovers, drop_resume_frames, remove_stale
 from scanrender.batch.lock import locked
 from scanrender.batch.log import JobLog
+from scanrender.batch.memory import forget_peak, peak_mib
 from scanrender.batch.parts import PARTS, adopt_parts
 from scanrender.batch.record import Record, Stage, digest, read_entry
 from scanrender.batch.result import Result, manifest, result_of
@@ -135,6 +136,7 @@ class _Run:
         if not {"plan", "frames", "buffers", "figure", "video", "sheet"} & set(work.reasons):
             return
         shown = _Shown(job, records)
+        forget_peak()
         if work.needs_gl:
             work = self._ready(shown, records, work)
         remove_stale(record, {name: work.key(name) for name in work.reads})
@@ -159,6 +161,8 @@ class _Run:
             ready = {k: v for k, v in self.seconds.items() if k in ("plan", "upload")}
             for name, value in {**ready, **turntable.seconds}.items():
                 spent[name] = round(spent.get(name, 0.0) + value, 3)
+            if work.needs_gl:
+                frames.notes["peak_mib"] = max(peak_mib() or 0, frames.notes.get("peak_mib", 0))
             record.changed = True
             record.save()
         drop_resume_frames(record)

@@ -49,21 +49,27 @@ class Batch:
         total = len(self.results) + len(self.failures)
         if total == 1:
             raise self.failures[0].error
-        failed = ", ".join(f"{x.job.scan.name} ({x.error.what})" for x in self.failures)
+        failed = ", ".join(f"{_named(x.job)} ({x.error.what})" for x in self.failures)
+        what = "jobs" if any(x.job.variant for x in self.failures) else "scans"
         raise BatchError(
-            f"{len(self.failures)} of {total} scans failed",
+            f"{len(self.failures)} of {total} {what} failed",
             where=failed,
             fix="the others are complete; mend or leave out these and run again",
         )
 
 
+def _named(job: Job) -> str:
+    return f"{job.scan.name} {job.variant}".rstrip()
+
+
 @dataclass
 class Todo:
-    """A job that is not done, what of it is not, and memory that its preparation may take."""
+    """A job that is not done, what of it is not, and memory that each half may take."""
 
     job: Job
     work: Work
     prep_mib: int
+    render_mib: int
 
 
 def run_batch(
@@ -95,7 +101,9 @@ def run_jobs(
                 show(job, "cached", 1.0)
     if todo:
         if options.workers:
-            with locked(_made(out)):
+            # The folder of one scan is `out`: its worker holds that.
+            alone = any(item.job.folder == out for item in todo)
+            with contextlib.nullcontext() if alone else locked(_made(out)):
                 _run_by_workers(todo, found, show, say, options)
         else:
             _run_here(todo, found, show, say, options, len(jobs) == 1)
@@ -103,7 +111,8 @@ def run_jobs(
         [found[id(job)] for job in jobs if isinstance(found[id(job)], Result)],  # type: ignore[misc]
         [found[id(job)] for job in jobs if isinstance(found[id(job)], Failure)],  # type: ignore[misc]
     )
-    if len(jobs) > 1 and (todo or not (out / SUMMARY_NAME).exists()) and out.is_dir():
+    new = todo or batch.failures or not (out / SUMMARY_NAME).exists()
+    if len(jobs) > 1 and new and out.is_dir():
         write_summary(out, jobs, found, time.perf_counter() - started)
     return batch
 
@@ -128,7 +137,7 @@ def sort_out(
             continue
         if work.reasons:
             need = prep_mib(job, records.prep) if "prep" in work.reasons else 0
-            todo.append(Todo(job, work, need))
+            todo.append(Todo(job, work, need, render_mib(job, records.job)))
             continue
         with contextlib.suppress(OutputError):
             records.save()
@@ -155,7 +164,8 @@ def _run_here(
 
     for number, job in enumerate((item.job for item in todo), 1):
         if not alone:
-            say(f"scan {number} of {len(todo)}: {job.scan.name} {job.variant}".rstrip())
+            what = "job" if job.variant else "scan"
+            say(f"{what} {number} of {len(todo)}: {_named(job)}")
 
         def progress(stage: str, fraction: float, job: Job = job) -> None:
             show(job, stage, fraction)
@@ -188,11 +198,11 @@ def _run_by_workers(
         job, first = item.job, None
         if "prep" in item.work.reasons:
             if job.asset not in prepared:
-                need = max(item.prep_mib, render_mib(job))
+                need = max(item.prep_mib, item.render_mib)
                 prepared[job.asset] = Task(job, "prep", mib=need)
                 tasks.append(prepared[job.asset])
             first = prepared[job.asset]
-        tasks.append(Task(job, after=first, mib=render_mib(job)))
+        tasks.append(Task(job, after=first, mib=item.render_mib))
 
     def ended(task: Task) -> None:
         if task.error is not None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
 from scanrender.cli import options
 
@@ -87,15 +88,22 @@ def command(
 
         say_what_would_be_done(todo, out, jobs, verify, as_json)
         return
-    # One job has this process to itself; several have workers that may die without the others.
-    workers = jobs if len(todo) > 1 else 0
-    chosen = Options(workers, verify, retries, timeout)
+    chosen = Options(_workers(jobs, len(todo)), verify, retries, timeout)
     batch = _run(todo, out, chosen, progress_kind)
-    from scanrender.cli.report import print_batch
+    from scanrender.cli.report import leave_report, print_batch
 
     print_batch(batch, out, as_json)
-    _report(out, batch)
+    leave_report(out, batch)
     batch.raise_if_failed()
+
+
+def _workers(asked: int, todo: int) -> int:
+    """Several jobs have workers that may die without the others; one has this process to itself,
+    unless it is to be tried again or stopped."""
+    context = click.get_current_context()
+    sources = (context.get_parameter_source(name) for name in ("retries", "timeout"))
+    guarded = any(source is ParameterSource.COMMANDLINE for source in sources)
+    return asked if todo > 1 else int(guarded)
 
 
 def _from_command_line(
@@ -158,20 +166,6 @@ def _run(jobs: list[Job], out: Path, chosen: Options, progress_kind: str) -> Bat
         return run_jobs(
             jobs, out, lambda job, stage, share: show_job(job.label, stage, share), say, chosen
         )
-
-
-def _report(out: Path, batch: Batch) -> None:
-    """report.html. Results that are complete do not fail for the want of a page about them."""
-    from scanrender.batch.report import report_of_run
-    from scanrender.errors import ScanrenderError
-
-    try:
-        page = report_of_run(out, batch)
-    except ScanrenderError as error:
-        click.echo(f"no report: {error}", err=True)
-        return
-    if page is not None:
-        click.echo(f"report: {page}", err=True)
 
 
 def _own_head(out: Path) -> Path:
