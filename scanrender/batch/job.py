@@ -171,6 +171,7 @@ class _Run:
         """Open GL, load the asset, plan: now all settings and the driver are known for good."""
         from scanrender.render.device import device
 
+        self.progress("load", 0.0)
         gl = device()
         driver = f"{gl.renderer} | {gl.version}"
         trust = Trust(self.verify, reading=True, gl=driver)

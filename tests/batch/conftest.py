@@ -1,17 +1,45 @@
-"""A night that two of three scans survived, its report, and a browser to open it in."""
+"""A finished job; a night that two of three scans survived, its report, a browser to open it in."""
 
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from batch.browser import Browser, emulate, open_page, requests, started
+from batch.jobs import Counted, silent, tiny, write_ball
 from batch.night import BROKEN, PIPELINE, run
 from render.synthetic import sphere
 
 from scanrender.asset import save_asset
+from scanrender.batch.job import run_job
+
+
+@pytest.fixture
+def counted(monkeypatch: pytest.MonkeyPatch) -> Counted:
+    return Counted(monkeypatch)
+
+
+@pytest.fixture(scope="session")
+def asset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("asset") / "ball"
+    return save_asset(sphere(20.0, (0.6, 0.3, 0.2), rings=10), folder)
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A raw scan, `ball.obj`, and `out`, its finished job; copied by those that change it."""
+    folder = tmp_path_factory.mktemp("finished")
+    run_job(write_ball(folder / "ball.obj"), tiny(), folder / "out", silent)
+    return folder
+
+
+@pytest.fixture
+def work(finished: Path, tmp_path: Path) -> Path:
+    shutil.copytree(finished, tmp_path / "w")  # with its times; the inodes are others
+    return tmp_path / "w"
 
 
 @pytest.fixture(scope="session")
