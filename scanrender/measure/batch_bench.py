@@ -1,7 +1,7 @@
 """`scanrender bench batch`: what a batch costs beyond the work itself.
 
 turn: frames a second of a whole job against rendering alone. workers: preparation of several scans
-by two workers against one that has one thread. memory: the parent while its workers render. jobs:
+by two workers against one on a single core. memory: the parent while its workers render. jobs:
 a thousand jobs that are done, or of which a light changed.
 
 All but rendering alone are runs of the command itself, in processes of their own.
@@ -91,7 +91,7 @@ def _frames_alone(asset: Path, overrides: Sequence[str]) -> float:
 
 
 def _workers(out: Path, say: Say) -> Row:
-    """The same scans, prepared by one worker with one thread, and by two."""
+    """The same scans, prepared by one worker on one core, and by two."""
     from scanrender.measure import prep_inputs
 
     scans = []
@@ -100,7 +100,7 @@ def _workers(out: Path, say: Say) -> Row:
         if not scan.exists():
             prep_inputs.phantom_scan(scan, SCAN_TRIANGLES, number)
         scans.append(scan)
-    one = _run(["prep_only", *scans, "--jobs", "1"], _fresh(out / "one"), ONE_THREAD)
+    one = _run(["prep_only", *scans, "--jobs", "1"], _fresh(out / "one"), ONE_THREAD, cores=1)
     two = _run(["prep_only", *scans, "--jobs", "2"], _fresh(out / "two"))
     return {
         "scans": SCANS,
@@ -183,8 +183,9 @@ def _run(
     out: Path,
     environment: Mapping[str, str] | None = None,
     watch: Callable[[float], None] | None = None,
+    cores: int | None = None,
 ) -> float:
-    """Seconds of `scanrender run`. Raises StageError when it fails."""
+    """Seconds of `scanrender run`, on so many cores. Raises StageError when it fails."""
     command = [sys.executable, "-m", "scanrender", "run", *map(str, words), "--out", str(out)]
     root = str(Path(errors.__file__).resolve().parents[1])
     paths = [root, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
@@ -193,6 +194,10 @@ def _run(
     log = out.with_name(f"{out.name}.log")
     with log.open("wb") as stream:
         process = subprocess.Popen(command, env=own, stdout=stream, stderr=stream)
+        if cores is not None and hasattr(os, "sched_setaffinity"):
+            # A worker has processes of its own, which threads alone do not bound. It has not
+            # started any yet, and what it starts inherits this.
+            os.sched_setaffinity(process.pid, sorted(os.sched_getaffinity(0))[:cores])
         while process.poll() is None:
             if watch is not None and (mib := _resident_mib(process.pid)):
                 watch(mib)
@@ -213,7 +218,7 @@ def _resident_mib(process: int) -> float:
 LINES = (
     ("frames", "frames"), ("job_s", "whole job s"), ("frames_alone_s", "frames alone s"),
     ("share", "rendering alone / whole job"), ("scans", "scans"),
-    ("one_worker_s", "one worker, one thread, s"), ("two_workers_s", "two workers s"),
+    ("one_worker_s", "one worker on one core s"), ("two_workers_s", "two workers s"),
     ("gain", "one / two"), ("parent_mib", "parent's memory, most, MiB"),
     ("growth_mib", "grown since the first quarter by MiB"), ("jobs", "jobs"),
     ("first_run_s", "first run s"), ("again_s", "run again s"), ("dry_run_s", "dry run s"),
