@@ -27,12 +27,14 @@ Say = Callable[[str], None]
 @dataclass(frozen=True)
 class Options:
     """`workers` processes, or 0 to do everything in this one. Without `verify` sizes and times are
-    believed; `retries` and `timeout_s` are for workers (`pool.PoolOptions`)."""
+    believed; `retries` and `timeout_s` are for workers (`tasks.PoolOptions`). With a `scheduler`
+    (`dask_link`) they are Dask's, `workers` at most at once; 0: all."""
 
     workers: int = 0
     verify: bool = False
     retries: int = 2
     timeout_s: float = 3600.0
+    scheduler: str | None = None
 
 
 @dataclass
@@ -94,9 +96,9 @@ def run_jobs(
             if isinstance(found.get(id(job)), Result):
                 show(job, "cached", 1.0)
     if todo:
-        if options.workers:
+        if options.workers or options.scheduler:
             with locked(_made(out)):
-                _run_by_workers(todo, found, show, say, options)
+                _run_by_workers(todo, found, show, say, options, out, len(jobs) == 1)
         else:
             _run_here(todo, found, show, say, options, len(jobs) == 1)
     batch = Batch(
@@ -178,9 +180,15 @@ def _run_here(
 
 
 def _run_by_workers(
-    todo: Sequence[Todo], found: dict[int, Result | Failure], show: Show, say: Say, options: Options
+    todo: Sequence[Todo],
+    found: dict[int, Result | Failure],
+    show: Show,
+    say: Say,
+    options: Options,
+    out: Path,
+    alone: bool,
 ) -> None:
-    from scanrender.batch.pool import Pool, PoolOptions, Task
+    from scanrender.batch.tasks import PoolOptions, Task
 
     tasks: list[Task] = []
     prepared: dict[Path, Task] = {}
@@ -198,24 +206,32 @@ def _run_by_workers(
         if task.error is not None:
             if task.only is None:
                 found[id(task.job)] = Failure(task.job, task.error, task.seconds)
-                say(f"{task.job.label}: {task.error}")
+                if not alone:
+                    say(f"{task.job.label}: {task.error}")
                 show(task.job, "failed", 1.0)
         elif task.only is None:
             found[id(task.job)] = _result(task, prepared.get(task.job.asset))
             show(task.job, "done", 1.0)
 
-    shares = PoolOptions(
-        min(options.workers, len(tasks)), options.verify, options.retries, options.timeout_s
-    )
+    workers = min(options.workers, len(tasks))
+    shares = PoolOptions(workers, options.verify, options.retries, options.timeout_s)
+    if options.scheduler is not None:
+        from scanrender.batch.dask_pool import run_on_dask
+
+        run_on_dask(options.scheduler, out, tasks, shares, show, say, ended)
+        return
+    from scanrender.batch.pool import Pool
+
     Pool(shares, show, say, ended).run(tasks)
 
 
 def _result(task: object, prepared: object) -> Result:
     """A worker's result; seconds of the preparation are those of the one that many may share."""
-    from scanrender.batch.pool import Task
+    from scanrender.batch.tasks import Task
 
     assert isinstance(task, Task)
-    result = Result(**{**task.result, "folder": Path(task.result["folder"])})
+    # Its folder is the job's: a worker elsewhere has named it absolutely.
+    result = Result(**{**task.result, "folder": task.job.folder})
     if isinstance(prepared, Task) and prepared.job is task.job:
         result.stages = {**prepared.result.get("stages", {}), **result.stages}
         result.cached = False

@@ -233,7 +233,7 @@ def dead_process() -> int:
 
 @pytest.mark.skipif(os.name != "posix", reason="process numbers cannot be asked about")
 def test_only_leftovers_of_dead_processes_of_this_machine_are_removed(tmp_path):
-    here, dead = files._machine(), dead_process()
+    here, dead = files.machine(), dead_process()
     stale = tmp_path / f"{TEMPORARY_PREFIX}{here}-{dead}-0123abcd-asset"
     stale.mkdir()
     (stale / "mesh.glb").write_bytes(b"half")
@@ -252,7 +252,7 @@ def test_only_leftovers_of_dead_processes_of_this_machine_are_removed(tmp_path):
 
 @pytest.mark.skipif(os.name != "posix", reason="process numbers cannot be asked about")
 def test_a_process_that_died_between_its_two_renames_costs_nobody_the_old_asset(tmp_path):
-    owner = f"{TEMPORARY_PREFIX}{files._machine()}-{dead_process()}-0123abcd"
+    owner = f"{TEMPORARY_PREFIX}{files.machine()}-{dead_process()}-0123abcd"
     (tmp_path / f"{owner}old-asset").mkdir()
     (tmp_path / f"{owner}old-asset" / "old.txt").write_text("whole")
     (tmp_path / f"{owner}-asset").mkdir()

@@ -1,0 +1,191 @@
+"""The connection to a Dask cluster. Only here is `distributed` imported by the command, and only by
+a run that asks for a scheduler.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import socket
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import urlsplit
+
+from scanrender.errors import UsageError
+from scanrender.files import scratch_folder
+
+LOCAL = "local"
+GPU = "GPU"  # the resource that workers offer which are to render, if any does
+CONNECT_S = 10.0
+ASK_S = 120.0  # scans of a slow file server are looked at meanwhile
+_ADDRESS = "tcp://HOST:8786, as `dask scheduler` prints it, or `local`"
+
+
+class LinkLostError(Exception):
+    """The scheduler does not answer any more."""
+
+
+@dataclass(frozen=True)
+class Seat:
+    """A Dask worker. `id` tells two apart that had the same address one after the other; `slots`
+    are its threads, `gpus` how many GPUs it offers."""
+
+    address: str
+    id: str
+    host: str
+    slots: int
+    gpus: int
+    works: bool
+
+
+class Link:
+    """A client's few verbs. All raise LinkLostError once the scheduler is gone."""
+
+    def __init__(self, client: Any) -> None:
+        self.client = client
+        self.address = str(client.scheduler.address)
+
+    def seats(self) -> dict[str, Seat]:
+        """The workers there are, by address."""
+        found = self._bounded(self.client.scheduler_info, CONNECT_S)
+        return {
+            address: Seat(
+                address,
+                str(said.get("id")),
+                str(said.get("host")),
+                max(1, int(said.get("nthreads", 1))),
+                int(said.get("resources", {}).get(GPU, 0)),
+                said.get("status", "running") == "running",
+            )
+            for address, said in found["workers"].items()
+        }
+
+    def ask(
+        self, function: Callable[..., Any], *arguments: Any, workers: Sequence[str]
+    ) -> dict[str, Any]:
+        """Each worker's answer by its address, or the exception that it ended with."""
+
+        def ask() -> dict[str, Any]:
+            answers: dict[str, Any] = self.client.run(
+                function, *arguments, workers=list(workers), on_error="return"
+            )
+            return answers
+
+        return self._bounded(ask, ASK_S) if workers else {}
+
+    def ask_scheduler(self, function: Callable[..., Any]) -> Any:
+        """Its answer. Raises whatever that ends with."""
+        return self.client.run_on_scheduler(function)
+
+    def submit(
+        self, function: Callable[..., Any], *arguments: Any, key: str, seat: Seat, gpu: bool
+    ) -> Any:
+        """A future of that worker alone."""
+        return self.client.submit(
+            function,
+            *arguments,
+            key=key,
+            workers=[seat.address],
+            allow_other_workers=False,
+            resources={GPU: 1} if gpu else None,
+            retries=0,
+            pure=False,
+        )
+
+    def _bounded(self, call: Callable[[], dict[str, Any]], within_s: float) -> dict[str, Any]:
+        """Dask waits for what it has lost; a run must not. Ctrl-C comes through meanwhile."""
+        found: list[dict[str, Any]] = []
+        failed: list[BaseException] = []
+
+        def do() -> None:
+            try:
+                found.append(call())
+            except BaseException as error:  # noqa: BLE001  it is told to the main thread
+                failed.append(error)
+
+        thread = threading.Thread(target=do, daemon=True)
+        thread.start()
+        thread.join(within_s)
+        if found:
+            return found[0]
+        cause = failed[0] if failed else TimeoutError(f"no answer within {within_s:g} s")
+        raise LinkLostError(f"{type(cause).__name__}: {cause}") from cause
+
+
+def check_address(scheduler: str) -> None:
+    """Raises UsageError for what cannot be a scheduler's address."""
+    if scheduler == LOCAL:
+        return
+    with contextlib.suppress(ValueError):
+        parts = urlsplit(scheduler)
+        if parts.scheme in ("tcp", "tls") and parts.hostname and parts.port:
+            return
+    raise UsageError(f"--scheduler {scheduler} is no address of a scheduler", fix=f"say {_ADDRESS}")
+
+
+@contextlib.contextmanager
+def connected(scheduler: str, workers: int) -> Iterator[Link]:
+    """A link to the scheduler, or to a cluster of this machine with so many workers, which ends
+    with it. Raises UsageError when nobody answers, or `distributed` is not installed."""
+    distributed = _library()
+    if scheduler != LOCAL:
+        _knock(scheduler)
+        try:
+            client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            what = f"what answers at {scheduler} is no Dask scheduler that this one understands"
+            raise UsageError(what, str(error), f"say {_ADDRESS}") from error
+        with _closing(client):
+            yield Link(client)
+        return
+    with scratch_folder() as folder:
+        cluster = distributed.LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+            memory_limit=0,  # `memory` counts what a scan takes; Dask would not see our processes
+            local_directory=str(folder),
+            silence_logs=logging.CRITICAL,
+        )
+        with _closing(cluster):
+            client = distributed.Client(cluster, timeout=CONNECT_S, set_as_default=False)
+            with _closing(client):
+                yield Link(client)
+
+
+def _library() -> Any:
+    try:
+        import distributed
+    except ImportError as error:
+        raise UsageError(
+            f"--scheduler needs Dask distributed, which is not installed here ({error})",
+            fix="pip install 'scanrender[dask]', here and where scheduler and workers run",
+        ) from error
+    # What Dask notices is told by us, in sentences: a lost worker is one line, not thirty.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    return distributed
+
+
+def _knock(scheduler: str) -> None:
+    """Dask itself tries again and again, where nobody listens."""
+    parts = urlsplit(scheduler)
+    try:
+        socket.create_connection((str(parts.hostname), parts.port or 0), CONNECT_S).close()
+    except OSError as error:
+        raise UsageError(
+            f"no Dask scheduler answers at {scheduler} ({error.strerror or error})",
+            fix="start one (`dask scheduler`) and say the address that it prints",
+        ) from error
+
+
+@contextlib.contextmanager
+def _closing(opened: Any) -> Iterator[None]:
+    """Without what Dask says of connections that were lost before."""
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError, RuntimeError):
+            opened.close()
