@@ -8,6 +8,7 @@ import contextlib
 import logging
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -50,6 +51,8 @@ class Link:
     def seats(self) -> dict[str, Seat]:
         """The workers there are, by address."""
         found = self._bounded(self.client.scheduler_info, CONNECT_S)
+        if "workers" not in found:
+            raise LinkLostError("it has closed the connection")
         return {
             address: Seat(
                 address,
@@ -94,8 +97,17 @@ class Link:
             pure=False,
         )
 
+    def wait_until_up(self) -> None:
+        """Dask connects again after a moment's interruption, if it can."""
+        end = time.monotonic() + CONNECT_S
+        while self.client.status != "running":
+            if self.client.status == "closed" or time.monotonic() > end:
+                raise LinkLostError("the connection broke")
+            time.sleep(0.1)
+
     def _bounded(self, call: Callable[[], dict[str, Any]], within_s: float) -> dict[str, Any]:
         """Dask waits for what it has lost; a run must not. Ctrl-C comes through meanwhile."""
+        self.wait_until_up()
         found: list[dict[str, Any]] = []
         failed: list[BaseException] = []
 
@@ -140,20 +152,26 @@ def connected(scheduler: str, workers: int) -> Iterator[Link]:
         with _closing(client):
             yield Link(client)
         return
-    with scratch_folder() as folder:
+    with scratch_folder() as folder, _temporary(str(folder)):
         cluster = distributed.LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
             dashboard_address=None,
             memory_limit=0,  # `memory` counts what a scan takes; Dask would not see our processes
-            local_directory=str(folder),
             silence_logs=logging.CRITICAL,
         )
         with _closing(cluster):
             client = distributed.Client(cluster, timeout=CONNECT_S, set_as_default=False)
             with _closing(client):
                 yield Link(client)
+
+
+def _temporary(folder: str) -> Any:
+    """Dask's own files go there."""
+    import dask
+
+    return dask.config.set({"temporary-directory": folder})
 
 
 def _library() -> Any:
@@ -165,7 +183,9 @@ def _library() -> Any:
             fix="pip install 'scanrender[dask]', here and where scheduler and workers run",
         ) from error
     # What Dask notices is told by us, in sentences: a lost worker is one line, not thirty.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] in ("distributed", "tornado"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     return distributed
 
 

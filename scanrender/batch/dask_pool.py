@@ -37,7 +37,8 @@ from scanrender.errors import CrashError, ScanrenderError, StageError, UsageErro
 
 TICK_S = 0.5
 RESULT_S = 30.0
-# How long a file server may keep the lock of a machine that was lost (NFS 4: a lease of 90 s).
+# How long a file server may keep the lock of a machine that was lost (NFS 4: a lease of 90 s). The
+# tasks of a command that was killed end a moment later too, when the next one may have begun.
 LEASE_S = 150.0
 
 
@@ -131,7 +132,7 @@ class DaskPool:
             self._alone_since = now
             self.say(f"no worker is left at {self.link.address}; waiting for one")
         elif now - self._alone_since > self.options.timeout_s:
-            raise LinkLostError(f"no worker came for {self.options.timeout_s:g} s")
+            raise LinkLostError(f"it had no worker for {self.options.timeout_s:g} s")
 
     def _give_out(self, waiting: list[Task]) -> None:
         """Tasks that can begin, to workers that are free for them."""
@@ -167,7 +168,7 @@ class DaskPool:
         for name in ("scan", "folder", "asset"):  # a worker stands in a folder of its own
             data[name] = os.path.abspath(data[name])
         data["opens_gl"] = task.needs_gl or not self.crew.has_gpus
-        data["wait_s"] = LEASE_S if task.tries > 1 else 0.0
+        data["wait_s"] = LEASE_S
         future = self.link.submit(
             dask_worker.run_task, data, attempt, self._topic,
             patience_s(task, self.options), self.crew.sharers(mate),
@@ -208,6 +209,7 @@ class DaskPool:
         try:
             found: dict[str, Any] = each.future.result(timeout=RESULT_S)
         except Exception as error:  # noqa: BLE001  whatever a worker, a network or a pickle raised
+            self.link.wait_until_up()
             what = f"the Dask worker {each.mate} lost the stage '{each.stage}'"
             raised = f"{type(error).__name__}: {error}".split("\n")[0][:300]
             return _crash(what, f"{each.task.job.folder / LOG_NAME} ({raised})")

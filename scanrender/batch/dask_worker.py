@@ -65,13 +65,13 @@ async def stop(attempts: Collection[str]) -> None:
         await asyncio.sleep(0.05)
 
 
-def rest() -> None:
+async def rest() -> None:
     """The run is over: processes without a task end."""
     with _lock:
         idle, _idle[:] = list(_idle), []
     for process in idle:
         process.let_go()
-        process.end(STOP_S)
+        await asyncio.to_thread(process.end, STOP_S)
 
 
 def run_task(task: Json, attempt: str, topic: str, patience_s: float, sharers: int) -> Json:
