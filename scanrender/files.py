@@ -110,16 +110,18 @@ def scratch_folder() -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def clean_stale(folder: Path, prefix: str = TEMPORARY_PREFIX, lost: str | None = None) -> None:
-    """Remove from `folder` what killed processes of this machine left half-written, and all that is
-    of the machine `lost`, none of whose processes writes there any more.
+def clean_stale(
+    folder: Path, prefix: str = TEMPORARY_PREFIX, lost: str | None = None, named: str | None = None
+) -> None:
+    """Remove from `folder` what killed processes of this machine left half-written, and what is of
+    the machine `lost`, none of whose processes writes there any more (or none the file `named`).
 
     A process that died between its two renames left the earlier folder aside: it comes back.
     """
     with suppress(OSError):
         for path in folder.iterdir():
             owner = _stale_owner(path, prefix, lost)
-            if owner is None:
+            if owner is None or (named is not None and owner[4] != named):
                 continue
             with suppress(OSError):
                 if path.is_symlink():

@@ -9,6 +9,7 @@ import logging
 import socket
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -157,7 +158,7 @@ def connected(scheduler: str, workers: int) -> Iterator[Link]:
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",  # None would take 8787, and warn where it is taken
             memory_limit=0,  # `memory` counts what a scan takes; Dask would not see our processes
             silence_logs=logging.CRITICAL,
         )
@@ -186,6 +187,7 @@ def _library() -> Any:
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] in ("distributed", "tornado"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
+    warnings.filterwarnings("ignore", module="distributed")
     return distributed
 
 

@@ -93,6 +93,7 @@ class DaskPool:
         self._topic = f"scanrender-{uuid.uuid4().hex}"
         self._said_memory = False
         self._alone_since: float | None = None
+        self._gave_out = 0.0
         self._heard: queue.SimpleQueue[tuple[str, dict[str, Any]]] = queue.SimpleQueue()
 
     def run(self, tasks: Sequence[Task]) -> None:
@@ -136,6 +137,10 @@ class DaskPool:
 
     def _give_out(self, waiting: list[Task]) -> None:
         """Tasks that can begin, to workers that are free for them."""
+        now = time.monotonic()
+        if now - self._gave_out < TICK_S:  # every event brings us here, of many workers many
+            return
+        self._gave_out = now
         for task in list(waiting):
             if task.after is not None and task.after.error is not None:
                 waiting.remove(task)
@@ -231,6 +236,7 @@ class DaskPool:
         each = self.running.pop(attempt)
         each.task.seconds += time.monotonic() - each.began
         self.crew.leave(each.task, each.mate)
+        self._gave_out = 0.0
         each.future.cancel(force=True)
         return each.task
 

@@ -109,7 +109,9 @@ def clean_after(job: Job, lost: str | None = None) -> None:
     clean_leftovers(job.folder, lost)
     drop_unheld(job.folder)
     if job.asset.parent != job.folder and job.prepares:
-        clean_stale(job.asset.parent, lost=lost)
+        clean_stale(job.asset.parent)
+        # That machine may be preparing another asset beside this one.
+        clean_stale(job.asset.parent, lost=lost, named=job.asset.name)
     clean_stale(Path(tempfile.gettempdir()), SCRATCH_PREFIX)
 
 

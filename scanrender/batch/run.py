@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,6 +18,8 @@ from scanrender.batch.summary import SUMMARY_NAME, Failure, write_summary
 from scanrender.errors import BatchError, OutputError, ScanrenderError
 from scanrender.scan.beside import forget
 from scanrender.settings.pipeline import Pipeline
+
+ENDING_S = 5.0  # for the tasks of a command that was killed to end elsewhere
 
 Progress = Callable[[str, float], None]
 Show = Callable[[Job, str, float], None]
@@ -97,8 +99,9 @@ def run_jobs(
                 show(job, "cached", 1.0)
     if todo:
         if options.workers or options.scheduler:
-            with locked(_made(out)):
-                _run_by_workers(todo, found, show, say, options, out, len(jobs) == 1)
+            alone = len(jobs) == 1
+            with _held(out, any(item.job.folder == out for item in todo)):
+                _run_by_workers(todo, found, show, say, options, out, alone)
         else:
             _run_here(todo, found, show, say, options, len(jobs) == 1)
     batch = Batch(
@@ -138,11 +141,17 @@ def sort_out(
     return found, todo
 
 
-def _made(out: Path) -> Path:
+@contextlib.contextmanager
+def _held(out: Path, is_a_jobs: bool) -> Iterator[None]:
+    """`out` is this run's. Where it is a job's own folder, whoever does the job has to hold it."""
     from scanrender.files import check_writable
 
     check_writable(out)
-    return out
+    with locked(out, wait_s=ENDING_S if is_a_jobs else 0.0):
+        if not is_a_jobs:
+            yield
+            return
+    yield
 
 
 def _run_here(

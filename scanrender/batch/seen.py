@@ -58,7 +58,8 @@ def evidence(jobs: Sequence[Job], out: Path) -> Iterator[dict[str, Any]]:
     try:
         token.write_text(word, encoding="utf-8")
         looks = {path: fingerprint(Path(path)) for path in sorted(inputs)}
-        yield {"out": os.path.abspath(out), "token": token.name, "word": word, "looks": looks}
+        known = {path: look for path, look in looks.items() if look is not None}
+        yield {"out": os.path.abspath(out), "token": token.name, "word": word, "looks": known}
     finally:
         token.unlink(missing_ok=True)
 
