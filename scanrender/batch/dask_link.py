@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import signal
 import socket
 import threading
 import time
@@ -26,7 +27,7 @@ _ADDRESS = "tcp://HOST:8786, as `dask scheduler` prints it, or `local`"
 
 
 class LinkLostError(Exception):
-    """The scheduler does not answer any more."""
+    """The scheduler does not answer any more, or has nobody to work; says how, after its name."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class Link:
         """The workers there are, by address."""
         found = self._bounded(self.client.scheduler_info, CONNECT_S)
         if "workers" not in found:
-            raise LinkLostError("it has closed the connection")
+            raise LinkLostError("has closed the connection")
         return {
             address: Seat(
                 address,
@@ -67,7 +68,11 @@ class Link:
         }
 
     def ask(
-        self, function: Callable[..., Any], *arguments: Any, workers: Sequence[str]
+        self,
+        function: Callable[..., Any],
+        *arguments: Any,
+        workers: Sequence[str],
+        within_s: float = ASK_S,
     ) -> dict[str, Any]:
         """Each worker's answer by its address, or the exception that it ended with."""
 
@@ -77,7 +82,7 @@ class Link:
             )
             return answers
 
-        return self._bounded(ask, ASK_S) if workers else {}
+        return self._bounded(ask, within_s) if workers else {}
 
     def ask_scheduler(self, function: Callable[..., Any]) -> Any:
         """Its answer. Raises whatever that ends with."""
@@ -98,12 +103,19 @@ class Link:
             pure=False,
         )
 
+    def subscribe(self, topic: str, hear: Callable[[dict[str, Any]], None]) -> None:
+        """Call `hear`, on Dask's own thread, with each event of the topic."""
+        self.client.subscribe_topic(topic, lambda event: hear(event[1]))
+
+    def unsubscribe(self, topic: str) -> None:
+        self.client.unsubscribe_topic(topic)
+
     def wait_until_up(self) -> None:
         """Dask connects again after a moment's interruption, if it can."""
         end = time.monotonic() + CONNECT_S
         while self.client.status != "running":
             if self.client.status == "closed" or time.monotonic() > end:
-                raise LinkLostError("the connection broke")
+                raise LinkLostError("was lost: the connection broke")
             time.sleep(0.1)
 
     def _bounded(self, call: Callable[[], dict[str, Any]], within_s: float) -> dict[str, Any]:
@@ -124,7 +136,7 @@ class Link:
         if found:
             return found[0]
         cause = failed[0] if failed else TimeoutError(f"no answer within {within_s:g} s")
-        raise LinkLostError(f"{type(cause).__name__}: {cause}") from cause
+        raise LinkLostError(f"does not answer ({type(cause).__name__}: {cause})") from cause
 
 
 def check_address(scheduler: str) -> None:
@@ -154,18 +166,33 @@ def connected(scheduler: str, workers: int) -> Iterator[Link]:
             yield Link(client)
         return
     with scratch_folder() as folder, _temporary(str(folder)):
-        cluster = distributed.LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address="127.0.0.1:0",  # None would take 8787, and warn where it is taken
-            memory_limit=0,  # `memory` counts what a scan takes; Dask would not see our processes
-            silence_logs=logging.CRITICAL,
-        )
+        with _unheard_ctrl_c():
+            cluster = distributed.LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address="127.0.0.1:0",  # None takes 8787, and warns where it is taken
+                memory_limit=0,  # `memory` counts what scans take; Dask does not see our processes
+                silence_logs=logging.CRITICAL,
+            )
         with _closing(cluster):
             client = distributed.Client(cluster, timeout=CONNECT_S, set_as_default=False)
             with _closing(client):
                 yield Link(client)
+
+
+@contextlib.contextmanager
+def _unheard_ctrl_c() -> Iterator[None]:
+    """Processes and threads that are started meanwhile never hear of Ctrl-C, nor do those that they
+    start: a terminal sends it to all of them, and it is this process that has to answer."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _temporary(folder: str) -> Any:

@@ -37,6 +37,7 @@ from scanrender.errors import CrashError, ScanrenderError, StageError, UsageErro
 
 TICK_S = 0.5
 RESULT_S = 30.0
+END_S = 10.0  # for workers to stop what they do
 # How long a file server may keep the lock of a machine that was lost (NFS 4: a lease of 90 s). The
 # tasks of a command that was killed end a moment later too, when the next one may have begun.
 LEASE_S = 150.0
@@ -59,8 +60,8 @@ def run_on_dask(
         try:
             crew.gather()
         except LinkLostError as error:
-            what = f"the Dask scheduler {link.address} does not answer any more"
-            raise UsageError(what, str(error), "see to it and run again") from error
+            what = f"the Dask scheduler {link.address} {error}"
+            raise UsageError(what, fix="see to it and run again") from error
         DaskPool(link, crew, options, show, say, ended).run(tasks)
 
 
@@ -100,8 +101,8 @@ class DaskPool:
         """Until every task is done or has failed. What is interrupted leaves nothing running and
         nothing half-written behind."""
         waiting = list(tasks)
-        # Dask awaits what a handler returns, on its own thread: a queue brings it to this one.
-        self.link.client.subscribe_topic(self._topic, self._hear)
+        # Dask calls on its own thread: a queue brings it to this one.
+        self.link.subscribe(self._topic, self._hear)
         try:
             while waiting or self.running:
                 self._look(waiting)
@@ -112,8 +113,7 @@ class DaskPool:
         finally:
             self._stop()
 
-    def _hear(self, event: tuple[float, dict[str, Any]]) -> None:
-        said = event[1]
+    def _hear(self, said: dict[str, Any]) -> None:
         self._heard.put((said["attempt"], said))
 
     def _look(self, waiting: list[Task]) -> None:
@@ -125,15 +125,21 @@ class DaskPool:
                 fix = "see its own log: its machine, its memory or the network gave way"
                 where = str(each.task.job.folder / LOG_NAME)
                 self._lost(attempt, CrashError(what, where, fix), waiting)
-        if self.crew.mates:
+
+    def _wait_for_workers(self, waiting: Sequence[Task]) -> None:
+        """Nothing runs, and nobody can do what is to be done: that cannot go on for ever."""
+        if self.running or not waiting:
             self._alone_since = None
             return
+        who = "no worker" if not self.crew.mates else "no worker that can do what is left"
+        if any(self.crew.wants_gpu(task) for task in waiting) and self.crew.mates:
+            who = "no worker with a GPU"
         now = time.monotonic()
         if self._alone_since is None:
             self._alone_since = now
-            self.say(f"no worker is left at {self.link.address}; waiting for one")
+            self.say(f"{who} is left at {self.link.address}; waiting for one")
         elif now - self._alone_since > self.options.timeout_s:
-            raise LinkLostError(f"it had no worker for {self.options.timeout_s:g} s")
+            raise LinkLostError(f"has had {who} for {self.options.timeout_s:g} s")
 
     def _give_out(self, waiting: list[Task]) -> None:
         """Tasks that can begin, to workers that are free for them."""
@@ -141,6 +147,10 @@ class DaskPool:
         if now - self._gave_out < TICK_S:  # every event brings us here, of many workers many
             return
         self._gave_out = now
+        self._hand_out(waiting)
+        self._wait_for_workers(waiting)
+
+    def _hand_out(self, waiting: list[Task]) -> None:
         for task in list(waiting):
             if task.after is not None and task.after.error is not None:
                 waiting.remove(task)
@@ -242,7 +252,7 @@ class DaskPool:
 
     def _scheduler_lost(self, waiting: Sequence[Task], error: LinkLostError) -> None:
         """What is not done fails, so that the summary says so."""
-        what = f"the Dask scheduler {self.link.address} was lost: {error}"
+        what = f"the Dask scheduler {self.link.address} {error}"
         fix = "see to it and run the same command again: what is complete stays"
         lost: ScanrenderError = StageError(what, fix=fix)
         tasks = [each.task for each in self.running.values()] + list(waiting)
@@ -256,11 +266,11 @@ class DaskPool:
         tries, self.running = dict(self.running), {}
         with contextlib.suppress(LinkLostError):
             at = sorted({each.mate.address for each in tries.values()} & set(self.crew.mates))
-            self.link.ask(dask_worker.stop, list(tries), workers=at)
+            self.link.ask(dask_worker.stop, list(tries), workers=at, within_s=END_S)
             for each in tries.values():
                 each.future.cancel(force=True)
-            self.link.client.unsubscribe_topic(self._topic)
-            self.link.ask(dask_worker.rest, workers=sorted(self.crew.mates))
+            self.link.unsubscribe(self._topic)
+            self.link.ask(dask_worker.rest, workers=sorted(self.crew.mates), within_s=END_S)
         for each in tries.values():
             clean_after(each.task.job, each.mate.machine)
 

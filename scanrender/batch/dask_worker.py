@@ -23,7 +23,8 @@ from scanrender.batch.memory import free_mib
 from scanrender.batch.process import START_S, STOP_S, WorkerProcess, clean_after, hang
 from scanrender.batch.seen import made_by, unseen
 from scanrender.batch.tasks import as_event, error_of, job_of
-from scanrender.errors import CrashError, ScanError, ScanrenderError
+from scanrender.errors import CrashError, OutputError, ScanError, ScanrenderError
+from scanrender.files import check_writable
 
 Json = dict[str, Any]
 
@@ -80,6 +81,10 @@ def run_task(task: Json, attempt: str, topic: str, patience_s: float, sharers: i
     from distributed import get_worker
 
     dask = get_worker()
+    try:
+        _look_anew(task)
+    except OutputError as error:
+        return _placed(error)
     process, keep = _taken(sharers), False
     folder, stage, told = Path(task["folder"]), task["only"] or "start", ("", 0.0)
     now = time.monotonic()
@@ -116,6 +121,14 @@ def run_task(task: Json, attempt: str, topic: str, patience_s: float, sharers: i
             clean_after(job_of(task))
         _at_work.discard(attempt)
         _unwanted.discard(attempt)
+
+
+def _look_anew(task: Json) -> None:
+    """A client of NFS believes what it knows of a folder for up to a minute, unless it writes
+    there: what another machine has just prepared would be missing. Raises OutputError."""
+    check_writable(Path(task["folder"]))
+    if task["asset"] != task["scan"]:
+        check_writable(Path(task["asset"]).parent)
 
 
 def _is_wanted(dask: Any, attempt: str) -> bool:

@@ -12,9 +12,10 @@ from scanrender.asset import save_asset
 from scanrender.batch import seen
 from scanrender.batch.dask_crew import Crew
 from scanrender.batch.dask_link import Seat
-from scanrender.batch.dask_worker import about, sees
+from scanrender.batch.dask_pool import DaskPool
+from scanrender.batch.dask_worker import about, rest, sees, stop
 from scanrender.batch.jobs import make_jobs, single_job
-from scanrender.batch.tasks import Task
+from scanrender.batch.tasks import PoolOptions, Task
 from scanrender.errors import OutputError, UsageError
 
 MADE_BY = {"scanrender": "1.0", "numpy": "2.0", "scanrender's code for prep": "abc"}
@@ -32,9 +33,11 @@ class Farm:
     def seats(self) -> dict[str, Seat]:
         return dict(self.there)
 
-    def ask(self, function: Any, *arguments: Any, workers: list[str]) -> dict[str, Any]:
+    def ask(self, function: Any, *arguments: Any, workers: list[str], **_: Any) -> dict[str, Any]:
         if function is sees:
             return {address: self.unseen.get(address) for address in workers}
+        if function in (stop, rest):
+            return {}
         assert function is about
         own = {"free_mib": 1000, "made_by": MADE_BY}
         told = {a: {"host": f"host of {a}", "machine": a, **own} for a in workers}
@@ -42,6 +45,12 @@ class Farm:
 
     def ask_scheduler(self, function: Any) -> Any:
         return None
+
+    def subscribe(self, topic: str, hear: Any) -> None:
+        pass
+
+    def unsubscribe(self, topic: str) -> None:
+        pass
 
 
 def crew_of(farm: Any, said: list[str] | None = None) -> Crew:
@@ -85,6 +94,21 @@ def test_gpus_that_are_lost_are_waited_for():
     crew._next_look = 0.0
     assert [mate.address for mate in crew.look()] == ["gpu"]
     assert names(crew, render) == []
+
+
+def test_but_not_for_ever():
+    _, render = tasks()
+    farm = Farm({"gpu": 1, "cpu": 0})
+    crew, said = crew_of(farm), list[str]()
+    del farm.there["gpu"]
+    crew._next_look = 0.0
+    ended: list[Task] = []
+    link: Any = farm
+    options = PoolOptions(0, timeout_s=0.1)
+    DaskPool(link, crew, options, lambda *_: None, said.append, ended.append).run([render])
+    assert said == ["no worker with a GPU is left at tcp://nowhere:1; waiting for one"]
+    assert ended == [render]
+    assert "has had no worker with a GPU for 0.1 s" in str(render.error)
 
 
 def test_no_more_at_once_than_a_machine_holds():

@@ -170,6 +170,17 @@ def test_local_starts_a_cluster_and_ends_it(
     assert "distributed" not in log_of(batch), "Dask's own words are not for users"
 
 
+def test_ctrl_c_in_a_terminal_reaches_a_local_cluster_too(assets: list[str], tmp_path: Path):
+    """A terminal sends it to every process of the command; only the command may answer."""
+    batch = batch_of(tmp_path, assets, "local", "--jobs", "2")
+    running = batch.start(start_new_session=True)
+    until(lambda: renders(batch), running)
+    os.killpg(running.pid, signal.SIGINT)
+    assert running.wait() == 130, log_of(batch)
+    assert "Traceback" not in log_of(batch)
+    assert batch.traces() == []
+
+
 def test_one_scan_alone_has_its_own_exit_code(cluster: Cluster, tmp_path: Path):
     cluster.at_least(1)
     (tmp_path / "bad.obj").write_text("this is no mesh\n")
