@@ -13,12 +13,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from scanrender.batch import dask_worker
-from scanrender.batch.dask_link import Link, Seat
+from scanrender.batch.dask_link import ASK_S, Link, Seat
 from scanrender.batch.seen import differences
 from scanrender.batch.tasks import Say, Task
-from scanrender.errors import ScanrenderError, StageError, UsageError
+from scanrender.errors import ScanrenderError, UsageError
 
 LOOK_EVERY_S = 1.0
+JOIN_S = 15.0  # for the answers of one that joins: the others wait meanwhile
 FIRST_S = 60.0  # for the first worker to appear
 SAME_CODE = "install the same scanrender and libraries there (constraints.txt), and start it again"
 SAME_FILES = (
@@ -59,8 +60,15 @@ class Crew:
     def gather(self) -> None:
         """Wait for the first workers. Raises UsageError for one that will not do, or none."""
         self._ask_scheduler()
-        seats, end, said = self.link.seats(), time.monotonic() + FIRST_S, False
-        while not seats:
+        end, said = time.monotonic() + FIRST_S, False
+        while True:
+            refused = self._take_on(self.link.seats(), ASK_S)
+            if refused:
+                more = f", and {len(refused) - 1} more will not do" if len(refused) > 1 else ""
+                first = refused[0]
+                raise UsageError(f"{first.what}{more}", first.where, first.fix)
+            if self.mates:
+                return
             if time.monotonic() > end:
                 raise UsageError(
                     f"the scheduler {self.link.address} has no workers",
@@ -70,12 +78,6 @@ class Crew:
                 self.say(f"the scheduler {self.link.address} has no workers yet; waiting for one")
                 said = True
             time.sleep(0.2)
-            seats = self.link.seats()
-        refused = self._take_on(seats)
-        if refused:
-            more = f", and {len(refused) - 1} more will not do" if len(refused) > 1 else ""
-            first = refused[0]
-            raise UsageError(f"{first.what}{more}", first.where, first.fix)
 
     def look(self) -> list[Mate]:
         """Take on who came; returns who is gone. Raises LinkLostError."""
@@ -96,7 +98,7 @@ class Crew:
             for address, seat in seats.items()
             if address not in self.mates and seat.id not in self._refused
         }
-        for error in self._take_on(new):
+        for error in self._take_on(new, JOIN_S):
             self.say(f"{error.what}; it gets no work")
         for address, mate in self.mates.items():
             mate.seat = seats.get(address, mate.seat)
@@ -131,22 +133,18 @@ class Crew:
         there = [other for other in self.mates.values() if other.machine == mate.machine]
         return max(1, sum(other.seat.slots for other in there))
 
-    def _take_on(self, seats: Mapping[str, Seat]) -> list[ScanrenderError]:
-        """Those that do become mates; what is wrong with the others."""
+    def _take_on(self, seats: Mapping[str, Seat], within_s: float) -> list[ScanrenderError]:
+        """Those that do become mates; what is wrong with the others. One that goes while it is
+        asked is neither."""
         refused = []
-        about = self.link.ask(dask_worker.about, workers=sorted(seats))
+        about = self.link.ask(dask_worker.about, workers=sorted(seats), within_s=within_s)
         alike = [address for address, said in about.items() if not self._other(address, said)]
-        seen = self.link.ask(dask_worker.sees, self.question, workers=alike)
+        seen = self.link.ask(dask_worker.sees, self.question, workers=alike, within_s=within_s)
         for address, said in about.items():
-            error = self._other(address, said)
-            if error is None and isinstance(seen.get(address), tuple):
-                path, wrong = seen[address]
-                what = (
-                    f"the Dask worker {address} on {said['host']} does not see {path}: it {wrong}"
-                )
-                error = UsageError(what, f"{path}, on {said['host']}", SAME_FILES)
-            elif error is None and address in seen and seen[address] is not None:
-                error = StageError(f"the Dask worker {address} does not answer: {seen[address]!r}")
+            answer = seen.get(address)
+            if _is_gone(said) or _is_gone(answer):
+                continue
+            error = self._other(address, said) or _blind(address, said["host"], answer)
             if error is not None:
                 self._refused.add(seats[address].id)
                 refused.append(error)
@@ -158,6 +156,8 @@ class Crew:
 
     def _other(self, address: str, said: Any) -> ScanrenderError | None:
         """What makes its results other ones than this machine's."""
+        if isinstance(said, OSError):
+            return UsageError(f"the Dask worker {address} gives {said}", address, SAME_FILES)
         if not isinstance(said, dict):
             what = f"the Dask worker {address} cannot run this scanrender ({_short(said)})"
             return UsageError(what, address, SAME_CODE)
@@ -176,6 +176,23 @@ class Crew:
             raise UsageError(
                 what, where, "start it where the same scanrender is installed"
             ) from error
+
+
+def _is_gone(answer: Any) -> bool:
+    """The connection broke: it ended, or will be asked again."""
+    return isinstance(answer, OSError) and not isinstance(answer, TimeoutError)
+
+
+def _blind(address: str, host: str, answer: Any) -> ScanrenderError | None:
+    """What a worker does not see, by its answer to `sees`."""
+    if answer is None:
+        return None
+    if isinstance(answer, BaseException):
+        what = f"the Dask worker {address} on {host} cannot look at the files ({_short(answer)})"
+        return UsageError(what, host, SAME_FILES)
+    path, wrong = answer
+    what = f"the Dask worker {address} on {host} does not see {path}: it {wrong}"
+    return UsageError(what, f"{path}, on {host}", SAME_FILES)
 
 
 def _has_room(mate: Mate) -> bool:

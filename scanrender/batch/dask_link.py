@@ -22,7 +22,7 @@ from scanrender.files import scratch_folder
 LOCAL = "local"
 GPU = "GPU"  # the resource that workers offer which are to render, if any does
 CONNECT_S = 10.0
-ASK_S = 120.0  # scans of a slow file server are looked at meanwhile
+ASK_S = 60.0  # scans of a slow file server are looked at meanwhile
 _ADDRESS = "tcp://HOST:8786, as `dask scheduler` prints it, or `local`"
 
 
@@ -74,15 +74,27 @@ class Link:
         workers: Sequence[str],
         within_s: float = ASK_S,
     ) -> dict[str, Any]:
-        """Each worker's answer by its address, or the exception that it ended with."""
+        """Each worker's answer by its address, or the exception that it ended with: TimeoutError
+        for one that hangs, which keeps no other from answering."""
+        self.wait_until_up()
+        answers: dict[str, Any] = {}
 
-        def ask() -> dict[str, Any]:
-            answers: dict[str, Any] = self.client.run(
-                function, *arguments, workers=list(workers), on_error="return"
-            )
-            return answers
+        def ask(address: str) -> None:
+            try:
+                answers.update(
+                    self.client.run(function, *arguments, workers=[address], on_error="return")
+                )
+            except BaseException as error:  # noqa: BLE001  an answer too
+                answers[address] = error
 
-        return self._bounded(ask, within_s) if workers else {}
+        threads = [threading.Thread(target=ask, args=[x], daemon=True) for x in workers]
+        end = time.monotonic() + within_s
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(max(0.0, end - time.monotonic()))
+        late = TimeoutError(f"no answer within {within_s:g} s")
+        return {address: answers.get(address, late) for address in workers}
 
     def ask_scheduler(self, function: Callable[..., Any]) -> Any:
         """Its answer. Raises whatever that ends with."""

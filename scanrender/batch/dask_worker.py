@@ -60,7 +60,7 @@ async def sees(question: Json) -> tuple[str, str] | None:
 
 async def stop(attempts: Collection[str]) -> None:
     """End these attempts, and return when nothing of them runs any more."""
-    _unwanted.update(attempts)
+    _unwanted.update(_at_work & set(attempts))
     end = time.monotonic() + STOP_S + 2.0
     while _at_work & set(attempts) and time.monotonic() < end:
         await asyncio.sleep(0.05)

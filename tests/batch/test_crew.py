@@ -145,6 +145,15 @@ def test_a_worker_without_scanrender_is_refused():
         crew_of(Farm({"a": 0, "b": 0}, {"b": missing}))
 
 
+def test_a_worker_that_hangs_is_refused_and_one_that_goes_is_not_missed():
+    late = TimeoutError("no answer within 60 s")
+    with pytest.raises(UsageError, match="the Dask worker b gives no answer within 60 s"):
+        crew_of(Farm({"a": 0, "b": 0}, {"b": late}))
+    crew = crew_of(Farm({"a": 0, "b": 0}, {"b": ConnectionResetError("gone")}))
+    assert list(crew.mates) == ["a"]
+    assert crew._refused == set()
+
+
 def test_one_that_comes_later_and_will_not_do_is_left_out():
     said: list[str] = []
     farm = Farm({"a": 0})
