@@ -83,8 +83,8 @@ def run_task(task: Json, attempt: str, topic: str, patience_s: float, sharers: i
     dask = get_worker()
     try:
         _look_anew(task)
-    except OutputError as error:
-        return _placed(error)
+    except OutputError as unwritable:
+        return _placed(unwritable)
     process, keep = _taken(sharers), False
     folder, stage, told = Path(task["folder"]), task["only"] or "start", ("", 0.0)
     now = time.monotonic()
