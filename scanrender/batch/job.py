@@ -56,9 +56,17 @@ def run_job(
     return do_job(single_job(scan, pipeline, folder, frames), progress)
 
 
-def do_job(job: Job, progress: Progress, verify: bool = False, only: str | None = None) -> Result:
+def do_job(
+    job: Job,
+    progress: Progress,
+    verify: bool = False,
+    only: str | None = None,
+    opens_gl: bool = True,
+    wait_s: float = 0.0,
+) -> Result:
     """Do what is to be done of the job, or only of its stage `prep`. Nothing is believed with
-    `verify`: contents are looked at. Raises any ScanrenderError."""
+    `verify`: contents are looked at. Without `opens_gl` another process will render what is
+    prepared here. `wait_s`: for a lock (`lock.locked`). Raises any ScanrenderError."""
     forget()
     records = records_of(job)
     if not look(job, records, Trust(verify)).reasons:
@@ -67,9 +75,9 @@ def do_job(job: Job, progress: Progress, verify: bool = False, only: str | None 
         return result_of(job, records, cached=True)
     check_writable(job.folder)
     log = JobLog(job.folder)
-    with locked(job.folder):
+    with locked(job.folder, wait_s):
         try:
-            return _Run(job, log.following(progress), log, verify).run(only)
+            return _Run(job, log.following(progress), log, verify).run(only, opens_gl)
         except BaseException as error:
             log.write(f"failed: {error if str(error) else type(error).__name__}")
             raise
@@ -85,12 +93,12 @@ class _Run:
     verify: bool
     seconds: dict[str, float] = field(default_factory=dict)
 
-    def run(self, only: str | None) -> Result:
+    def run(self, only: str | None, opens_gl: bool = True) -> Result:
         job = self.job
         clean_leftovers(job.folder)
         records = records_of(job)
         work = look(job, records, Trust(self.verify))
-        if work.needs_gl or "render" in work.reasons:
+        if opens_gl and (work.needs_gl or "render" in work.reasons):
             from scanrender.render.device import device
 
             device()  # no GL is said now, not after a minute of preparation
