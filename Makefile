@@ -62,5 +62,5 @@ $(STAMP): pyproject.toml constraints.txt
 	@python=$$(tools/find_python.sh) && echo "setting up $(VENV) with $$($$python --version)" && \
 		{ $(BIN)/python -m pip --version >/dev/null 2>&1 || $$python -m venv --clear $(VENV); }
 	@$(BIN)/python -m pip install -q -c constraints.txt hatchling editables
-	@$(BIN)/python -m pip install -q -c constraints.txt --no-build-isolation -e '.[dev]'
+	@$(BIN)/python -m pip install -q -c constraints.txt --no-build-isolation -e '.[dev,dask]'
 	@touch $@

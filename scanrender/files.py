@@ -110,15 +110,18 @@ def scratch_folder() -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def clean_stale(folder: Path, prefix: str = TEMPORARY_PREFIX) -> None:
-    """Remove from `folder` what killed processes of this machine left half-written.
+def clean_stale(
+    folder: Path, prefix: str = TEMPORARY_PREFIX, lost: str | None = None, named: str | None = None
+) -> None:
+    """Remove from `folder` what killed processes of this machine left half-written, and what is of
+    the machine `lost`, none of whose processes writes there any more (or none the file `named`).
 
     A process that died between its two renames left the earlier folder aside: it comes back.
     """
     with suppress(OSError):
         for path in folder.iterdir():
-            owner = _stale_owner(path, prefix)
-            if owner is None:
+            owner = _stale_owner(path, prefix, lost)
+            if owner is None or (named is not None and owner[4] != named):
                 continue
             with suppress(OSError):
                 if path.is_symlink():
@@ -136,19 +139,25 @@ def is_stale(path: Path, prefix: str = TEMPORARY_PREFIX) -> bool:
     return _stale_owner(path, prefix) is not None
 
 
-def _stale_owner(path: Path, prefix: str) -> re.Match[str] | None:
+def _stale_owner(path: Path, prefix: str, lost: str | None = None) -> re.Match[str] | None:
     owner = _OWNED.match(path.name) if path.name.startswith(prefix) else None
-    if owner is None or owner[1] != _machine() or _is_alive(int(owner[2])):
+    if owner is None:
         return None
-    return owner
+    gone = owner[1] == machine() and not _is_alive(int(owner[2]))
+    return owner if gone or (owner[1] == lost != machine()) else None
+
+
+def temporary_name(name: str) -> str:
+    """Of a file that is no result, and that `clean_stale` removes once this process is gone."""
+    return f"{_owned(TEMPORARY_PREFIX)}-{name}"
 
 
 def _owned(prefix: str) -> str:
-    return f"{prefix}{_machine()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+    return f"{prefix}{machine()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
 
 
 @cache
-def _machine() -> str:
+def machine() -> str:
     """Where process numbers mean the same: output folders are shared by hosts and containers."""
     space = ""
     with suppress(OSError):

@@ -62,6 +62,16 @@ def read_image(path: Path | str) -> Image:
     return np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, spec.nchannels)
 
 
+def channel_count(path: Path | str) -> int:
+    """Channels of the first subimage. Raises ScanError when the file is absent or no image."""
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        raise ScanError(f"cannot read image {path}: {oiio.geterror()}", where=str(path))
+    channels = int(source.spec().nchannels)
+    source.close()
+    return channels
+
+
 def read_colors(path: Path | str, name: str | None = None) -> npt.NDArray[Any]:
     """The first three channels (h, w, 3) as stored, without a detour over floats: uint8, uint16 or
     float32; grey is repeated. Colours are not multiplied by alpha: a texture's alpha is a cut-out,

@@ -2,7 +2,8 @@
 
 OUT/bench holds prep.json and fidelity.json, for docs/preparation.md, render.json and flicker.json,
 for docs/rendering.md, plan.json, for docs/trade/plan.md, truth.json, published.json and
-choice.json, for docs/trade/promises.md, as `scanrender bench` wrote them; each may be missing.
+choice.json, for docs/trade/promises.md, batch.json, for docs/batch.md, as `scanrender bench` wrote
+them; each may be missing.
 Frames of a GPU go to a table of their own. A page keeps what stands between its marks until it is
 given new figures.
 """
@@ -107,6 +108,16 @@ def choice_blocks(document: Document) -> dict[str, str]:
     return {"choice": "\n\n".join([_machine(document), markdown(table), f"{sentence}."])}
 
 
+def batch_blocks(document: Document) -> dict[str, str]:
+    from scanrender.measure.batch_bench import LINES
+    from scanrender.measure.tables import case_table, markdown
+
+    rows = document["rows"]
+    meant = "\n".join(f"- `{row['case']}`: {row['meaning']}." for row in rows)
+    table = markdown(case_table(rows, LINES))
+    return {"batch": "\n\n".join([_machine(document), meant, table, _missed(rows)])}
+
+
 def _machine(document: Document) -> str:
     machine = document["machine"]
     load = machine["load"]
@@ -144,6 +155,7 @@ BLOCKS = {
     "truth": ("trade/promises.md", truth_blocks),
     "published": ("trade/promises.md", published_blocks),
     "choice": ("trade/promises.md", choice_blocks),
+    "batch": ("batch.md", batch_blocks),
 }
 
 

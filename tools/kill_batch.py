@@ -1,6 +1,7 @@
 """Kills a batch again and again, runs it to its end, and compares: nobody may be able to tell.
 
     python tools/kill_batch.py PIPELINE SCAN... --kills 20 --out FOLDER
+    python tools/kill_batch.py --kills 20 --out FOLDER -- PIPELINE SCAN... --scheduler local
 
 One run is left alone. Then, for each kill, a fresh run is started, and at a random moment its
 parent or one of its workers gets SIGKILL; run again, it must end with the same frames, videos, EXRs
@@ -19,6 +20,7 @@ import sys
 import time
 import uuid
 from pathlib import Path
+from typing import Any
 
 MARK = "SCANRENDER_KILL_TEST"
 # What tells times, and so differs from run to run.
@@ -58,13 +60,13 @@ class Batch:
         self.temporary = out.with_name(f"{out.name}.tmp")
         self.temporary.mkdir(parents=True, exist_ok=True)
 
-    def start(self) -> subprocess.Popen[bytes]:
+    def start(self, **how: Any) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", "scanrender", "run", *self.arguments, "--out", self.out]
         environment = {**os.environ, MARK: self.mark, "TMPDIR": str(self.temporary)}
         log = self.out.with_name(f"{self.out.name}.log").open("ab")
         with log:
             return subprocess.Popen(
-                [str(word) for word in command], env=environment, stdout=log, stderr=log
+                [str(word) for word in command], env=environment, stdout=log, stderr=log, **how
             )
 
     def run(self) -> float:

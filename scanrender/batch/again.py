@@ -12,7 +12,8 @@ from scanrender.batch.keys import Recipe
 from scanrender.batch.record import read_entry
 from scanrender.batch.summary import read_summary
 from scanrender.errors import ConfigError, ScanrenderError, UsageError
-from scanrender.settings.loading import Layer, validated
+from scanrender.settings.layers import Layer
+from scanrender.settings.validation import validated
 
 
 def jobs_of_manifest(path: Path, out: Path) -> tuple[list[Job], list[str]]:

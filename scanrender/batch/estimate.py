@@ -7,9 +7,9 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from scanrender.batch.jobs import Job
+from scanrender.batch.memory import samples_of
 from scanrender.batch.run import Todo
 from scanrender.batch.state import Records
 
@@ -44,7 +44,7 @@ class Pace:
         frames = records.job.stages.get("frames")
         times = {} if frames is None else frames.notes.get("ms", {})
         if frames is not None and times:
-            samples = _samples(frames.reads["settings"])
+            samples = samples_of(frames.reads["settings"])
             self.frame.append(statistics.median(times.values()) / samples)
         self.jobs += bool(times) or stage is not None
 
@@ -60,11 +60,6 @@ def estimate(todo: Sequence[Todo], pace: Pace, out: Path, workers: int) -> Estim
     return Estimate(total, pace.jobs, disk, _free(out))
 
 
-def _samples(settings: Any) -> float:
-    camera, quality = settings["camera"], settings["quality"]
-    return float(camera["width_px"] * camera["height_px"] * quality["supersampling"] ** 2)
-
-
 def _seconds(item: Todo, pace: Pace, prepared: set[Path]) -> float | None:
     total, job = 0.0, item.job
     if "prep" in item.work.reasons and job.asset not in prepared:
@@ -76,7 +71,7 @@ def _seconds(item: Todo, pace: Pace, prepared: set[Path]) -> float | None:
     if frames:
         if not pace.frame:
             return None
-        total += frames * statistics.median(pace.frame) * _samples(job.recipe.shot) / 1e3
+        total += frames * statistics.median(pace.frame) * samples_of(job.recipe.shot) / 1e3
     return total
 
 

@@ -21,8 +21,8 @@ from scanrender.outputs.falsecolour import false_colour, with_common_range
 from scanrender.render.device import Device
 from scanrender.render.frame import Renderer
 from scanrender.settings.figure import Panel, Window
-from scanrender.settings.loading import panel_pipelines
 from scanrender.settings.pipeline import Pipeline
+from scanrender.settings.validation import panel_pipelines
 
 PICTURE, NUMBERS = "figure.png", "figure.json"
 

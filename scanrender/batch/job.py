@@ -20,6 +20,7 @@ from scanrender.batch.keys import RENDERED_MAPS, curvature_scale_mm, prep_reads
 from scanrender.batch.leftovers import clean_leftovers, drop_resume_frames, remove_stale
 from scanrender.batch.lock import locked
 from scanrender.batch.log import JobLog
+from scanrender.batch.memory import forget_peak, peak_mib
 from scanrender.batch.parts import PARTS, adopt_parts
 from scanrender.batch.record import Record, Stage, digest, read_entry
 from scanrender.batch.result import Result, manifest, result_of
@@ -55,9 +56,17 @@ def run_job(
     return do_job(single_job(scan, pipeline, folder, frames), progress)
 
 
-def do_job(job: Job, progress: Progress, verify: bool = False, only: str | None = None) -> Result:
+def do_job(
+    job: Job,
+    progress: Progress,
+    verify: bool = False,
+    only: str | None = None,
+    opens_gl: bool = True,
+    wait_s: float = 0.0,
+) -> Result:
     """Do what is to be done of the job, or only of its stage `prep`. Nothing is believed with
-    `verify`: contents are looked at. Raises any ScanrenderError."""
+    `verify`: contents are looked at. Without `opens_gl` another process will render what is
+    prepared here. `wait_s`: for a lock (`lock.locked`). Raises any ScanrenderError."""
     forget()
     records = records_of(job)
     if not look(job, records, Trust(verify)).reasons:
@@ -66,9 +75,9 @@ def do_job(job: Job, progress: Progress, verify: bool = False, only: str | None 
         return result_of(job, records, cached=True)
     check_writable(job.folder)
     log = JobLog(job.folder)
-    with locked(job.folder):
+    with locked(job.folder, wait_s):
         try:
-            return _Run(job, log.following(progress), log, verify).run(only)
+            return _Run(job, log.following(progress), log, verify).run(only, opens_gl)
         except BaseException as error:
             log.write(f"failed: {error if str(error) else type(error).__name__}")
             raise
@@ -84,12 +93,12 @@ class _Run:
     verify: bool
     seconds: dict[str, float] = field(default_factory=dict)
 
-    def run(self, only: str | None) -> Result:
+    def run(self, only: str | None, opens_gl: bool = True) -> Result:
         job = self.job
         clean_leftovers(job.folder)
         records = records_of(job)
         work = look(job, records, Trust(self.verify))
-        if work.needs_gl or "render" in work.reasons:
+        if opens_gl and (work.needs_gl or "render" in work.reasons):
             from scanrender.render.device import device
 
             device()  # no GL is said now, not after a minute of preparation
@@ -135,6 +144,7 @@ class _Run:
         if not {"plan", "frames", "buffers", "figure", "video", "sheet"} & set(work.reasons):
             return
         shown = _Shown(job, records)
+        forget_peak()
         if work.needs_gl:
             work = self._ready(shown, records, work)
         remove_stale(record, {name: work.key(name) for name in work.reads})
@@ -159,6 +169,8 @@ class _Run:
             ready = {k: v for k, v in self.seconds.items() if k in ("plan", "upload")}
             for name, value in {**ready, **turntable.seconds}.items():
                 spent[name] = round(spent.get(name, 0.0) + value, 3)
+            if work.needs_gl:
+                frames.notes["peak_mib"] = max(peak_mib() or 0, frames.notes.get("peak_mib", 0))
             record.changed = True
             record.save()
         drop_resume_frames(record)
@@ -167,6 +179,7 @@ class _Run:
         """Open GL, load the asset, plan: now all settings and the driver are known for good."""
         from scanrender.render.device import device
 
+        self.progress("load", 0.0)
         gl = device()
         driver = f"{gl.renderer} | {gl.version}"
         trust = Trust(self.verify, reading=True, gl=driver)

@@ -52,10 +52,18 @@ _LIBRARIES = {
 }  # fmt: skip
 
 
+STAGES = tuple(_CODE)
+
+
 @cache
 def code_digest(stage: str) -> str:
+    return sources_digest(_CODE[stage])
+
+
+def sources_digest(names: Sequence[str]) -> str:
+    """Of files and folders of the package."""
     found = hashlib.sha256()
-    for name in _CODE[stage]:
+    for name in names:
         path = PACKAGE / name
         for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
             if file.suffix in (".py", ".frag", ".vert", ".glsl", ".comp"):

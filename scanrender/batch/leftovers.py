@@ -15,11 +15,12 @@ from scanrender.files import TEMPORARY_PREFIX, clean_stale
 RENDERED = ("frames", "buffers", "video", "sheet", "figure")
 
 
-def clean_leftovers(folder: Path) -> None:
-    """Remove half-written files of processes that are gone, in the folder and its own folders."""
+def clean_leftovers(folder: Path, lost: str | None = None) -> None:
+    """Remove half-written files of processes that are gone, in the folder and its own folders;
+    `lost` is a machine that is (`files.machine`)."""
     for parent, folders, _ in os.walk(folder):
         folders[:] = [name for name in folders if not name.startswith(TEMPORARY_PREFIX)]
-        clean_stale(Path(parent))
+        clean_stale(Path(parent), lost=lost)
 
 
 def remove_stale(record: Record, current: dict[str, str]) -> None:

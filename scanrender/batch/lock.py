@@ -5,18 +5,21 @@ from __future__ import annotations
 import contextlib
 import os
 import platform
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 from scanrender.errors import OutputError
 
 LOCK_NAME = ".scanrender.lock"
+LOOK_EVERY_S = 0.2
 _held: set[Path] = set()
 
 
 @contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Hold the folder for this process. Raises OutputError when another one holds it.
+def locked(folder: Path, wait_s: float = 0.0) -> Iterator[None]:
+    """Hold the folder for this process. Raises OutputError when another one holds it, for longer
+    than `wait_s` from now: a file server keeps a lock for a while after its machine was lost.
 
     Where the system has no such locks (Windows, some network file systems) nothing is held.
     """
@@ -24,7 +27,7 @@ def locked(folder: Path) -> Iterator[None]:
     if path in _held:
         yield
         return
-    descriptor = _acquired(path)
+    descriptor = _acquired(path, time.monotonic() + wait_s)
     if descriptor is None:
         yield
         return
@@ -39,7 +42,7 @@ def locked(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _acquired(path: Path) -> int | None:
+def _acquired(path: Path, until: float) -> int | None:
     try:
         import fcntl
     except ImportError:
@@ -55,6 +58,9 @@ def _acquired(path: Path) -> int | None:
         except BlockingIOError:
             said = os.pread(descriptor, 200, 0).decode("utf-8", "replace") or "another run"
             os.close(descriptor)
+            if time.monotonic() < until:
+                time.sleep(LOOK_EVERY_S)
+                continue
             raise OutputError(
                 f"another run works in {path.parent} ({said})",
                 str(path),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from scanrender.batch.jobs import Job
 from scanrender.batch.record import Record
@@ -11,6 +13,7 @@ from scanrender.batch.record import Record
 # Bytes of a file for each triangle, as scanners write them: 1 M triangles are 90 MB of OBJ.
 _BYTES_A_TRIANGLE = {".obj": 90, ".off": 60, ".ply": 25, ".stl": 50, ".glb": 30, ".gltf": 1}
 _CGROUP = Path("/sys/fs/cgroup")
+_CLEAR_REFS = Path("/proc/self/clear_refs")
 _SPARE = 1.3  # what was measured once is exceeded a little the next time
 
 
@@ -28,10 +31,36 @@ def prep_mib(job: Job, record: Record) -> int:
     return int(min(700 + triangles * 17e-4, 1800 + triangles * 56e-5))
 
 
-def render_mib(job: Job) -> int:
-    """A worker with its libraries and maps, and some thirty buffers of the picture."""
-    camera = job.pipeline.camera
-    return int(800 + camera.width_px * camera.height_px * 480 / 2**20)
+def render_mib(job: Job, record: Record) -> int:
+    """Peak of rendering: what earlier frames with as many samples took, or a guess: a worker with
+    its libraries and maps, and some thirty buffers of the picture."""
+    frames = record.stages.get("frames")
+    samples = samples_of(job.recipe.shot)
+    peak = None if frames is None else frames.notes.get("peak_mib")
+    if frames is not None and peak and samples_of(frames.reads["settings"]) == samples:
+        return int(_SPARE * float(peak))
+    return int(800 + samples * 480 / 2**20)
+
+
+def samples_of(settings: Mapping[str, Any]) -> int:
+    """Samples of a frame of these settings, before what a plan makes of them."""
+    camera, quality = settings["camera"], settings["quality"]
+    return int(camera["width_px"] * camera["height_px"] * quality["supersampling"] ** 2)
+
+
+def forget_peak() -> None:
+    """From here on `peak_mib` counts anew. Linux only; elsewhere it counts from the start."""
+    with suppress(OSError):
+        _CLEAR_REFS.write_text("5", encoding="ascii")
+
+
+def peak_mib() -> int | None:
+    """Most memory of this process since `forget_peak`; None where nobody says."""
+    with suppress(OSError, ValueError, IndexError):
+        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) // 1024
+    return None
 
 
 def free_mib() -> int | None:

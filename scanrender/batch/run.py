@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,6 +19,8 @@ from scanrender.errors import BatchError, OutputError, ScanrenderError
 from scanrender.scan.beside import forget
 from scanrender.settings.pipeline import Pipeline
 
+ENDING_S = 5.0  # for the tasks of a command that was killed to end elsewhere
+
 Progress = Callable[[str, float], None]
 Show = Callable[[Job, str, float], None]
 Say = Callable[[str], None]
@@ -27,12 +29,14 @@ Say = Callable[[str], None]
 @dataclass(frozen=True)
 class Options:
     """`workers` processes, or 0 to do everything in this one. Without `verify` sizes and times are
-    believed; `retries` and `timeout_s` are for workers (`pool.PoolOptions`)."""
+    believed; `retries` and `timeout_s` are for workers (`tasks.PoolOptions`). With a `scheduler`
+    (`dask_link`) they are Dask's, `workers` at most at once; 0: all."""
 
     workers: int = 0
     verify: bool = False
     retries: int = 2
     timeout_s: float = 3600.0
+    scheduler: str | None = None
 
 
 @dataclass
@@ -49,21 +53,27 @@ class Batch:
         total = len(self.results) + len(self.failures)
         if total == 1:
             raise self.failures[0].error
-        failed = ", ".join(f"{x.job.scan.name} ({x.error.what})" for x in self.failures)
+        failed = ", ".join(f"{_named(x.job)} ({x.error.what})" for x in self.failures)
+        what = "jobs" if any(x.job.variant for x in self.failures) else "scans"
         raise BatchError(
-            f"{len(self.failures)} of {total} scans failed",
+            f"{len(self.failures)} of {total} {what} failed",
             where=failed,
             fix="the others are complete; mend or leave out these and run again",
         )
 
 
+def _named(job: Job) -> str:
+    return f"{job.scan.name} {job.variant}".rstrip()
+
+
 @dataclass
 class Todo:
-    """A job that is not done, what of it is not, and memory that its preparation may take."""
+    """A job that is not done, what of it is not, and memory that each half may take."""
 
     job: Job
     work: Work
     prep_mib: int
+    render_mib: int
 
 
 def run_batch(
@@ -94,16 +104,18 @@ def run_jobs(
             if isinstance(found.get(id(job)), Result):
                 show(job, "cached", 1.0)
     if todo:
-        if options.workers:
-            with locked(_made(out)):
-                _run_by_workers(todo, found, show, say, options)
+        if options.workers or options.scheduler:
+            alone = len(jobs) == 1
+            with _held(out, any(item.job.folder == out for item in todo)):
+                _run_by_workers(todo, found, show, say, options, out, alone)
         else:
             _run_here(todo, found, show, say, options, len(jobs) == 1)
     batch = Batch(
         [found[id(job)] for job in jobs if isinstance(found[id(job)], Result)],  # type: ignore[misc]
         [found[id(job)] for job in jobs if isinstance(found[id(job)], Failure)],  # type: ignore[misc]
     )
-    if len(jobs) > 1 and (todo or not (out / SUMMARY_NAME).exists()) and out.is_dir():
+    new = todo or batch.failures or not (out / SUMMARY_NAME).exists()
+    if len(jobs) > 1 and new and out.is_dir():
         write_summary(out, jobs, found, time.perf_counter() - started)
     return batch
 
@@ -128,7 +140,7 @@ def sort_out(
             continue
         if work.reasons:
             need = prep_mib(job, records.prep) if "prep" in work.reasons else 0
-            todo.append(Todo(job, work, need))
+            todo.append(Todo(job, work, need, render_mib(job, records.job)))
             continue
         with contextlib.suppress(OutputError):
             records.save()
@@ -136,11 +148,17 @@ def sort_out(
     return found, todo
 
 
-def _made(out: Path) -> Path:
+@contextlib.contextmanager
+def _held(out: Path, is_a_jobs: bool) -> Iterator[None]:
+    """`out` is this run's. Where it is a job's own folder, whoever does the job has to hold it."""
     from scanrender.files import check_writable
 
     check_writable(out)
-    return out
+    with locked(out, wait_s=ENDING_S if is_a_jobs else 0.0):
+        if not is_a_jobs:
+            yield
+            return
+    yield
 
 
 def _run_here(
@@ -155,7 +173,8 @@ def _run_here(
 
     for number, job in enumerate((item.job for item in todo), 1):
         if not alone:
-            say(f"scan {number} of {len(todo)}: {job.scan.name} {job.variant}".rstrip())
+            what = "job" if job.variant else "scan"
+            say(f"{what} {number} of {len(todo)}: {_named(job)}")
 
         def progress(stage: str, fraction: float, job: Job = job) -> None:
             show(job, stage, fraction)
@@ -178,9 +197,15 @@ def _run_here(
 
 
 def _run_by_workers(
-    todo: Sequence[Todo], found: dict[int, Result | Failure], show: Show, say: Say, options: Options
+    todo: Sequence[Todo],
+    found: dict[int, Result | Failure],
+    show: Show,
+    say: Say,
+    options: Options,
+    out: Path,
+    alone: bool,
 ) -> None:
-    from scanrender.batch.pool import Pool, PoolOptions, Task
+    from scanrender.batch.tasks import PoolOptions, Task
 
     tasks: list[Task] = []
     prepared: dict[Path, Task] = {}
@@ -188,34 +213,42 @@ def _run_by_workers(
         job, first = item.job, None
         if "prep" in item.work.reasons:
             if job.asset not in prepared:
-                need = max(item.prep_mib, render_mib(job))
+                need = max(item.prep_mib, item.render_mib)
                 prepared[job.asset] = Task(job, "prep", mib=need)
                 tasks.append(prepared[job.asset])
             first = prepared[job.asset]
-        tasks.append(Task(job, after=first, mib=render_mib(job)))
+        tasks.append(Task(job, after=first, mib=item.render_mib))
 
     def ended(task: Task) -> None:
         if task.error is not None:
             if task.only is None:
                 found[id(task.job)] = Failure(task.job, task.error, task.seconds)
-                say(f"{task.job.label}: {task.error}")
+                if not alone:
+                    say(f"{task.job.label}: {task.error}")
                 show(task.job, "failed", 1.0)
         elif task.only is None:
             found[id(task.job)] = _result(task, prepared.get(task.job.asset))
             show(task.job, "done", 1.0)
 
-    shares = PoolOptions(
-        min(options.workers, len(tasks)), options.verify, options.retries, options.timeout_s
-    )
+    workers = min(options.workers, len(tasks))
+    shares = PoolOptions(workers, options.verify, options.retries, options.timeout_s)
+    if options.scheduler is not None:
+        from scanrender.batch.dask_pool import run_on_dask
+
+        run_on_dask(options.scheduler, out, tasks, shares, show, say, ended)
+        return
+    from scanrender.batch.pool import Pool
+
     Pool(shares, show, say, ended).run(tasks)
 
 
 def _result(task: object, prepared: object) -> Result:
     """A worker's result; seconds of the preparation are those of the one that many may share."""
-    from scanrender.batch.pool import Task
+    from scanrender.batch.tasks import Task
 
     assert isinstance(task, Task)
-    result = Result(**{**task.result, "folder": Path(task.result["folder"])})
+    # Its folder is the job's: a worker elsewhere has named it absolutely.
+    result = Result(**{**task.result, "folder": task.job.folder})
     if isinstance(prepared, Task) and prepared.job is task.job:
         result.stages = {**prepared.result.get("stages", {}), **result.stages}
         result.cached = False

@@ -73,19 +73,21 @@ def _entry(out: Path, job: Job, found: Result | Failure) -> dict[str, Any]:
     own = load_record(job.folder)
     prepared = own if job.asset.parent == job.folder else load_record(job.asset.parent)
     prep = _stage(prepared, job.prep_stage) if job.prepares else Stage("", {})
+    frames = _stage(own, "frames")
     return {
         **named,
         "status": "cached" if found.cached else "done",
         "sha256": prep.inputs[job.scan.name].sha256 if job.scan.name in prep.inputs else None,
         "seconds": {name: round(value, 3) for name, value in found.stages.items()},
-        "frame_ms": _stage(own, "frames").notes.get("ms", {}),
+        "frame_ms": frames.notes.get("ms", {}),
+        "peak_mib": {"prep": prep.notes.get("peak_mib"), "render": frames.notes.get("peak_mib")},
         "files": found.files,
         "warnings": found.warnings,
         "not_run": found.decisions,
         "plan": found.plan,
         "quality": found.quality,
         "prep": {name: prep.notes.get(name) for name in ("counts", "lost", "units")},
-        "gl": _stage(own, "frames").notes.get("gl", {}),
+        "gl": frames.notes.get("gl", {}),
     }
 
 

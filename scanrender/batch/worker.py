@@ -2,7 +2,7 @@
 
 Standard input brings one task a line, standard output carries one event a line: `{"stage": ...,
 "fraction": ...}`, then `{"done": ...}` or `{"error": ...}`. What libraries print goes to the scan's
-log. The worker ends with its parent, however that ends. The parent is `pool`.
+log. The worker ends with its parent, however that ends. The parent sees it as a `process`.
 """
 
 from __future__ import annotations
@@ -21,28 +21,10 @@ from pathlib import Path
 from typing import IO, Any
 
 from scanrender.batch.job import do_job
-from scanrender.batch.jobs import Job
-from scanrender.batch.keys import Recipe
 from scanrender.batch.log import LOG_NAME
-from scanrender.errors import ScanrenderError
+from scanrender.batch.tasks import as_event, job_of
+from scanrender.errors import CrashError, ScanrenderError
 from scanrender.scan.worker import tie_to_parent
-from scanrender.settings.pipeline import Pipeline
-
-
-def as_task(job: Job, only: str | None, verify: bool) -> dict[str, Any]:
-    """A task as plain data. What the pipeline does not say stays unsaid: panels of a figure differ
-    by what they set."""
-    return {
-        "scan": str(job.scan),
-        "name": job.name,
-        "pipeline": job.pipeline.model_dump(mode="json", exclude_unset=True),
-        "folder": str(job.folder),
-        "asset": str(job.asset),
-        "part": None if job.part is None else list(job.part),
-        "variant": job.variant,
-        "only": only,
-        "verify": verify,
-    }
 
 
 def main() -> int:
@@ -89,31 +71,23 @@ def _do(task: dict[str, Any], protocol: IO[str]) -> None:
         tell({"stage": stage, "fraction": round(fraction, 4)})
 
     progress("start", 0.0)
-    job = Job(
-        Path(task["scan"]),
-        task["name"],
-        Recipe(Pipeline.model_validate(task["pipeline"])),
-        Path(task["folder"]),
-        Path(task["asset"]),
-        None if task["part"] is None else tuple(task["part"]),
-        task["variant"],
-    )
+    job = job_of(task)
     try:
         with _printing_into(job.folder / LOG_NAME):
-            result = do_job(job, progress, task["verify"], task["only"])
+            how = {name: task[name] for name in ("verify", "only", "opens_gl", "wait_s")}
+            result = do_job(job, progress, **how)
         tell({"done": {**asdict(result), "folder": str(result.folder)}})
     except ScanrenderError as error:
-        said = {"kind": type(error).__name__, "what": error.what}
-        tell({"error": {**said, "where": error.where, "fix": error.fix}})
+        tell(as_event(error))
     except MemoryError:
         what, fix = "memory ran out", "use fewer --jobs, smaller pictures, or a larger machine"
-        tell({"error": {"kind": "CrashError", "what": what, "where": None, "fix": fix}})
+        tell(as_event(CrashError(what, fix=fix)))
     except Exception as error:  # noqa: BLE001  a bug that one scan brings to light stops no other
         with _printing_into(job.folder / LOG_NAME):
             traceback.print_exc()
         what = f"this is a bug in scanrender: {type(error).__name__}: {error}"
         where, fix = str(job.folder / LOG_NAME), "run this scan alone with --debug and report it"
-        tell({"error": {"kind": "ScanrenderError", "what": what, "where": where, "fix": fix}})
+        tell(as_event(ScanrenderError(what, where, fix)))
 
 
 @contextlib.contextmanager

@@ -1,10 +1,12 @@
-"""`scanrender bench prep`, `bench fidelity`, `bench render`, `bench flicker`, `bench plan`,
-`bench choice`, `bench truth`, `bench published`"""
+"""`scanrender bench TARGET`"""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -19,7 +21,23 @@ CASES = {
     "choice": "all",
     "truth": "all",
     "published": "all",
+    "batch": "all",
 }
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the command line says; a target reads what concerns it."""
+
+    cases: str
+    scans: Path
+    asset: Path | None
+    repeats: int
+    plain: bool
+    out: Path
+
+
+Found = tuple[list[dict[str, Any]], str]  # rows, and what a person reads
 
 
 @click.command("bench")
@@ -31,7 +49,8 @@ CASES = {
     f"[default: {CASES['fidelity']}]. render: close, mid, far, empty "
     "[default: all]. flicker: none, gaussian_sum, separable_preintegrated, jitter "
     f"[default: {CASES['flicker']}]. plan: how many random shots [default: {CASES['plan']}]. "
-    "choice: side, front, half [default: all]. truth and published have one case.",
+    "choice: side, front, half [default: all]. truth and published have one case. batch: turn, "
+    "workers, memory, jobs [default: all].",
 )
 @click.option(
     "--scans",
@@ -76,52 +95,94 @@ def command(
     choice: whether what quality.max_delta_e and budget_ms pick is as near and fast as they promise.
     truth: each method against the truth, and what a frame of 512 px takes.
     published: what a planned frame gains on the method as published, at equal error.
+    batch: frames a second against rendering alone, two workers against one, the parent's memory, a
+    thousand jobs.
     A table, OUT/TARGET.json and OUT/TARGET.csv; pictures in OUT.
     """
-    from scanrender.measure import (
-        choice_bench,
-        fidelity,
-        flicker,
-        plan_bench,
-        prep_bench,
-        published_bench,
-        render_bench,
-        truth_bench,
-    )
-    from scanrender.measure.chosen import chosen
     from scanrender.measure.limits import missed_limits
 
-    named = cases or CASES[target]
-
-    def say(words: str) -> None:
-        click.echo(words, err=True)
-
-    if target == "prep":
-        rows = prep_bench.bench_prep(prep_bench.case_list(named), out, scans, say, plain)
-        table = prep_bench.table_text(rows)
-    elif target == "render":
-        views = chosen(named, render_bench.VIEWS)
-        rows = render_bench.bench_render(views, out, say, asset, repeats)
-        table = render_bench.render_text(rows)
-    elif target == "flicker":
-        rows = flicker.bench_flicker(chosen(named, flicker.WAYS), out, say, asset)
-        table = flicker.flicker_text(rows)
-    elif target == "plan":
-        rows = plan_bench.bench_plan(out, scans, say, asset, options.count(named, "--cases"))
-        table = plan_bench.plan_text(rows)
-    elif target == "choice":
-        views = chosen(named, choice_bench.VIEWS)
-        rows = choice_bench.bench_choice(views, out, scans, say)
-        table = choice_bench.choice_text(rows)
-    elif target == "truth":
-        rows = truth_bench.bench_truth(out, scans, say, asset)
-        table = truth_bench.truth_text(rows)
-    elif target == "published":
-        rows = published_bench.bench_published(out, scans, say, asset)
-        table = published_bench.published_text(rows)
-    else:
-        rows = fidelity.bench_fidelity(fidelity.fidelity_list(named), out, scans, say)
-        table = fidelity.fidelity_text(rows)
+    asked = Asked(cases or CASES[target], scans, asset, repeats, plain, out)
+    rows, table = MEASURE[target](asked)
     click.echo(json.dumps(rows, indent=2) if as_json else table)
     for sentence in missed_limits(rows):
         click.echo(f"over its limit: {sentence}", err=True)
+
+
+def _say(words: str) -> None:
+    click.echo(words, err=True)
+
+
+def _prep(asked: Asked) -> Found:
+    from scanrender.measure.prep_bench import bench_prep, case_list, table_text
+
+    rows = bench_prep(case_list(asked.cases), asked.out, asked.scans, _say, asked.plain)
+    return rows, table_text(rows)
+
+
+def _fidelity(asked: Asked) -> Found:
+    from scanrender.measure.fidelity import bench_fidelity, fidelity_list, fidelity_text
+
+    rows = bench_fidelity(fidelity_list(asked.cases), asked.out, asked.scans, _say)
+    return rows, fidelity_text(rows)
+
+
+def _render(asked: Asked) -> Found:
+    from scanrender.measure.chosen import chosen
+    from scanrender.measure.render_bench import VIEWS, bench_render, render_text
+
+    views = chosen(asked.cases, VIEWS)
+    rows = bench_render(views, asked.out, _say, asked.asset, asked.repeats)
+    return rows, render_text(rows)
+
+
+def _flicker(asked: Asked) -> Found:
+    from scanrender.measure.chosen import chosen
+    from scanrender.measure.flicker import WAYS, bench_flicker, flicker_text
+
+    rows = bench_flicker(chosen(asked.cases, WAYS), asked.out, _say, asked.asset)
+    return rows, flicker_text(rows)
+
+
+def _plan(asked: Asked) -> Found:
+    from scanrender.measure.plan_bench import bench_plan, plan_text
+
+    count = options.count(asked.cases, "--cases")
+    rows = bench_plan(asked.out, asked.scans, _say, asked.asset, count)
+    return rows, plan_text(rows)
+
+
+def _choice(asked: Asked) -> Found:
+    from scanrender.measure.choice_bench import VIEWS, bench_choice, choice_text
+    from scanrender.measure.chosen import chosen
+
+    rows = bench_choice(chosen(asked.cases, VIEWS), asked.out, asked.scans, _say)
+    return rows, choice_text(rows)
+
+
+def _truth(asked: Asked) -> Found:
+    from scanrender.measure.truth_bench import bench_truth, truth_text
+
+    rows = bench_truth(asked.out, asked.scans, _say, asked.asset)
+    return rows, truth_text(rows)
+
+
+def _published(asked: Asked) -> Found:
+    from scanrender.measure.published_bench import bench_published, published_text
+
+    rows = bench_published(asked.out, asked.scans, _say, asked.asset)
+    return rows, published_text(rows)
+
+
+def _batch(asked: Asked) -> Found:
+    from scanrender.measure.batch_bench import CASES as KNOWN
+    from scanrender.measure.batch_bench import batch_text, bench_batch
+    from scanrender.measure.chosen import chosen
+
+    rows = bench_batch(chosen(asked.cases, KNOWN), asked.out, _say)
+    return rows, batch_text(rows)
+
+
+MEASURE: Mapping[str, Callable[[Asked], Found]] = {
+    "prep": _prep, "fidelity": _fidelity, "render": _render, "flicker": _flicker, "plan": _plan,
+    "choice": _choice, "truth": _truth, "published": _published, "batch": _batch,
+}  # fmt: skip

@@ -34,12 +34,13 @@ def command(
 ) -> None:
     """Make our own raw head, scan it with all a scanner's faults, and run the demo pipeline."""
     from scanrender.cli.progress import progress
-    from scanrender.cli.report import print_results
+    from scanrender.cli.report import leave_report, print_results
     from scanrender.settings.loading import load_pipeline
 
     checked = (options.CHECK,) if check else ()
     settings = load_pipeline("demo", (*overrides, *checked))
     from scanrender.batch.job import run_job
+    from scanrender.batch.run import Batch
     from scanrender.files import check_writable
     from scanrender.phantom import Damage, make_head, scan_head, write_ply
 
@@ -53,5 +54,6 @@ def command(
         result = run_job(scan, settings, out, show)
     result.files.insert(0, "raw_scan/head.ply")
     print_results([result], as_json)
+    leave_report(out, Batch([result]))
     if not as_json:
         click.echo(f"\nopen {out / 'contact_sheet.png'} or {out / 'turntable.mp4'}")

@@ -121,7 +121,7 @@ def _batch_bars(total: int) -> Iterator[BatchProgress]:
         TimeRemainingColumn(),
     )
     with Bars(*columns, console=Console(stderr=True)) as bars:
-        whole = bars.add_task("all scans", total=total, stage="")
+        whole = bars.add_task("all", total=total, stage="")
         running: dict[str, TaskID] = {}
         count = _Count(total)
 
@@ -164,7 +164,7 @@ def _batch_plain(_: _Count) -> Callable[[_Count, str, str, float], None]:
         now = time.monotonic()
         if stage in ENDS or name not in last or now - last[name] > BATCH_EVERY_S:
             share = "" if stage in ENDS else f": {fraction:4.0%}"
-            where = f"{count.ended} of {count.total} scans"
+            where = f"{count.ended} of {count.total}"
             click.echo(f"[{now - started:7.1f} s] {where} | {name}: {stage}{share}", err=True)
             last[name] = now
         if stage in ENDS:

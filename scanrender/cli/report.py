@@ -103,3 +103,17 @@ def _collapsed(files: Sequence[str]) -> list[str]:
         else:
             lines.append(name)
     return [*lines, *(f"{folder}/ ({count} files)" for folder, count in folders.items())]
+
+
+def leave_report(out: Path, batch: Batch) -> None:
+    """report.html. Results that are complete do not fail for the want of a page about them."""
+    from scanrender.batch.report import report_of_run
+    from scanrender.errors import ScanrenderError
+
+    try:
+        page = report_of_run(out, batch)
+    except ScanrenderError as error:
+        click.echo(f"no report: {error}", err=True)
+        return
+    if page is not None:
+        click.echo(f"report: {page}", err=True)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
 from scanrender.cli import options
 
@@ -48,10 +49,18 @@ OWN_HEAD_TRIANGLES = 400_000
     type=click.FloatRange(1.0),
     help="Seconds without a sign of life after which a worker is taken to hang.",
 )
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Work on the workers of this Dask scheduler (tcp://HOST:8786), at most --jobs at once if "
+    "that is given; or `local`: on --jobs Dask workers of this machine.",
+)
 @options.progress
 @options.as_json
 @options.debug
+@click.pass_context
 def command(
+    context: click.Context,
     pipeline: str | None,
     scans: tuple[Path, ...],
     overrides: tuple[str, ...],
@@ -64,6 +73,7 @@ def command(
     from_manifest: Path | None,
     retries: int,
     timeout: float,
+    scheduler: str | None,
     progress_kind: str,
     as_json: bool,
 ) -> None:
@@ -78,6 +88,10 @@ def command(
     from scanrender.batch.run import Options
 
     overrides = (*overrides, options.CHECK) if check else overrides
+    if scheduler is not None:
+        from scanrender.batch.dask_link import check_address
+
+        check_address(scheduler)
     if from_manifest is not None:
         todo = _from_manifest(from_manifest, pipeline, overrides, out, frames)
     else:
@@ -87,15 +101,27 @@ def command(
 
         say_what_would_be_done(todo, out, jobs, verify, as_json)
         return
-    # One job has this process to itself; several have workers that may die without the others.
-    workers = jobs if len(todo) > 1 else 0
-    chosen = Options(workers, verify, retries, timeout)
+    workers = _workers(jobs, len(todo), scheduler, context)
+    chosen = Options(workers, verify, retries, timeout, scheduler)
     batch = _run(todo, out, chosen, progress_kind)
-    from scanrender.cli.report import print_batch
+    from scanrender.cli.report import leave_report, print_batch
 
     print_batch(batch, out, as_json)
-    _report(out, batch)
+    leave_report(out, batch)
     batch.raise_if_failed()
+
+
+def _workers(jobs: int, count: int, scheduler: str | None, context: click.Context) -> int:
+    """Several jobs have workers that may die without the others; one has this process to itself,
+    unless it is to be tried again or stopped. A cluster has as many as it has."""
+    given = {
+        name
+        for name in ("jobs", "retries", "timeout")
+        if context.get_parameter_source(name) is not ParameterSource.DEFAULT
+    }
+    if scheduler is not None:
+        return jobs if scheduler == "local" or "jobs" in given else 0
+    return jobs if count > 1 else int(bool(given & {"retries", "timeout"}))
 
 
 def _from_command_line(
@@ -151,27 +177,13 @@ def _run(jobs: list[Job], out: Path, chosen: Options, progress_kind: str) -> Bat
     def say(line: str) -> None:
         click.echo(line, err=True)
 
-    if len(jobs) == 1:
+    if len(jobs) == 1 and chosen.scheduler is None:
         with progress(progress_kind) as show:
             return run_jobs(jobs, out, lambda _, stage, share: show(stage, share), say, chosen)
     with batch_progress(progress_kind, len(jobs)) as show_job:
         return run_jobs(
             jobs, out, lambda job, stage, share: show_job(job.label, stage, share), say, chosen
         )
-
-
-def _report(out: Path, batch: Batch) -> None:
-    """report.html. Results that are complete do not fail for the want of a page about them."""
-    from scanrender.batch.report import report_of_run
-    from scanrender.errors import ScanrenderError
-
-    try:
-        page = report_of_run(out, batch)
-    except ScanrenderError as error:
-        click.echo(f"no report: {error}", err=True)
-        return
-    if page is not None:
-        click.echo(f"report: {page}", err=True)
 
 
 def _own_head(out: Path) -> Path:

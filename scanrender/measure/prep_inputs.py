@@ -28,10 +28,10 @@ REAL_HEAD_MM = 388.0  # bounding-box height, see the manifest of the scans
 RELIEF = ((6.0, 0.05), (1.5, 0.02))
 
 
-def phantom_scan(path: Path, triangles: int) -> Path:
+def phantom_scan(path: Path, triangles: int, seed: int = 0) -> Path:
     """Our own head with a scanner's faults, as binary PLY."""
     make_folder(path.parent)
-    return write_ply(path, scan_head(make_head(triangles), Damage()))
+    return write_ply(path, scan_head(make_head(triangles, seed), Damage(), seed))
 
 
 def dense_head_scan(path: Path, scans: Path, levels: int = 3) -> Path:

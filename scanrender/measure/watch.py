@@ -11,6 +11,7 @@ from pathlib import Path
 
 PROC = Path("/proc")
 SUDDEN, AGAIN_S = 1.1, 0.02
+COST = 0.02  # of the time may go into looking
 
 
 @dataclass(frozen=True)
@@ -29,9 +30,10 @@ class Watch:
 
     Memory is the proportional set size, so that pages shared between processes count once. It is
     sampled: a peak shorter than `interval_s` may be missed, which peak_child_mib (kept by the
-    kernel, over the life of this process) bounds from below. Each sample holds up what it looks at:
-    ten a second made a preparation of 10 s take 5 % longer. A sudden rise is looked at twice:
-    between vfork and exec a child is counted with all of its parent's memory.
+    kernel, over the life of this process) bounds from below. Each sample holds up what it looks at,
+    for as long as it has pages: four a second took 4 % of a preparation's processor time, so the
+    next one waits until they cost COST. A sudden rise is looked at twice: between vfork and exec a
+    child is counted with all of its parent's memory.
     """
 
     def __init__(self, interval_s: float = 0.25) -> None:
@@ -57,19 +59,22 @@ class Watch:
     def peak_mib(self, start: float, stop: float) -> int | None:
         """Peak between two moments of time.perf_counter(); None when nothing was sampled."""
         # Nothing may fall between the samples of a short stage: the next one after it counts too.
-        near = [kib for at, kib in self.samples if start <= at <= stop + self.interval_s]
-        return max(near) // 1024 if near else None
+        within = [kib for at, kib in self.samples if start <= at <= stop]
+        after = [kib for at, kib in self.samples if at > stop][:1]
+        return max(within + after) // 1024 if within or after else None
 
     def _poll(self) -> None:
         while True:
+            begun = time.perf_counter()
             now = tree_kib(os.getpid())
+            spent = time.perf_counter() - begun
             known = self.samples[-1][1] if self.samples else 0
             if now is not None and now > SUDDEN * known:
                 time.sleep(AGAIN_S)
                 now = min(now, tree_kib(os.getpid()) or now)
             if now is not None:
                 self.samples.append((time.perf_counter(), now))
-            if self._stop.wait(self.interval_s):
+            if self._stop.wait(max(self.interval_s, spent / COST)):
                 return
 
 

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from scanrender.errors import ConfigError
-from scanrender.settings import loading
+from scanrender.settings.layers import Layer, merge, set_key
 from scanrender.settings.pipeline import Pipeline
+from scanrender.settings.validation import panel_pipelines, validated
 
 MOST_VARIANTS = 10_000
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
@@ -42,12 +43,12 @@ def variants(pipeline: Pipeline, source: str) -> list[Variant]:
     axes = [list(choices.items()) for choices in pipeline.matrix.values()]
     found = []
     for combination in itertools.product(*axes):
-        layer = loading.Layer(copy.deepcopy(base), {})
+        layer = Layer(copy.deepcopy(base), {})
         for axis, (name, choice) in zip(pipeline.matrix, combination, strict=True):
             _apply(layer, choice, _where(source, axis, name))
         joined = "-".join(name for name, _ in combination)
-        made = loading.validated(layer, f"{source}, the variant {joined}")
-        loading.panel_pipelines(made, source)
+        made = validated(layer, f"{source}, the variant {joined}")
+        panel_pipelines(made, source)
         found.append(Variant(joined, made))
     _check_names([variant.name for variant in found], source)
     return found
@@ -67,9 +68,9 @@ def check_matrix(pipeline: Pipeline, source: str) -> None:
                 raise ConfigError(
                     f"{name!r} cannot be a folder's name", where, "use letters, digits, - _ and ."
                 )
-            layer = loading.Layer(_base(pipeline), {})
+            layer = Layer(_base(pipeline), {})
             _apply(layer, choice, where)
-            loading.validated(layer, where)
+            validated(layer, where)
     if count > MOST_VARIANTS:
         raise ConfigError(
             f"the matrix has {count:,} combinations", source, f"at most {MOST_VARIANTS:,}"
@@ -86,13 +87,13 @@ def _where(source: str, axis: str, name: str) -> str:
     return f"{source}, matrix.{axis}.{name}"
 
 
-def _apply(layer: loading.Layer, choice: Mapping[str, Any], where: str) -> None:
+def _apply(layer: Layer, choice: Mapping[str, Any], where: str) -> None:
     """Sections merge key by key as with `extends`, dotted keys are set as with `--set`."""
     for key, value in choice.items():
         if "." not in key and isinstance(value, dict):
-            loading.merge(layer, loading.Layer({key: copy.deepcopy(value)}, {(key,): where}))
+            merge(layer, Layer({key: copy.deepcopy(value)}, {(key,): where}))
         else:
-            loading.set_key(layer, key, copy.deepcopy(value), where)
+            set_key(layer, key, copy.deepcopy(value), where)
 
 
 def _check_names(names: list[str], source: str) -> None:

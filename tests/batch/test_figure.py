@@ -17,8 +17,9 @@ from scanrender.images import read_image
 from scanrender.measure.figure_numbers import HARD_SPACE, NEEDS, NUMBERS, in_words, measure
 from scanrender.resources import shipped_pipelines
 from scanrender.settings.figure import FigureSettings
-from scanrender.settings.loading import load_pipeline, panel_pipelines
+from scanrender.settings.loading import load_pipeline
 from scanrender.settings.pipeline import Pipeline
+from scanrender.settings.validation import panel_pipelines
 
 FIGURES = [name for name in shipped_pipelines() if name.startswith("figures/")]
 

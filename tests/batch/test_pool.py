@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import os
 import signal
 import subprocess
@@ -14,6 +13,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from batch.killing import KILL
 from render.synthetic import pipeline, sphere
 
 from scanrender.asset import save_asset
@@ -24,7 +24,6 @@ from scanrender.batch.run import Batch, Options, run_jobs
 from scanrender.batch.turntable import _check_device
 from scanrender.errors import CrashError, OutputError
 
-ROOT = Path(__file__).parents[2]
 linux_only = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 pytestmark = [pytest.mark.gl, linux_only]
 
@@ -36,18 +35,6 @@ TINY = {
     "lights": [{"type": "directional", "shadow_px": 64}],
     "outputs": {"frames": True},
 }
-
-
-def kill_tool() -> Any:
-    spec = importlib.util.spec_from_file_location("kill_batch", ROOT / "tools" / "kill_batch.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-KILL = kill_tool()
 
 
 @pytest.fixture(scope="module")
@@ -294,3 +281,18 @@ def test_the_lock_of_a_killed_process_goes_and_a_held_one_stays(tmp_path: Path):
     with locked(tmp_path):
         drop_unheld(tmp_path)
         assert left.exists()
+
+
+def test_a_lock_that_ends_is_waited_for(tmp_path: Path):
+    """A file server keeps the lock of a lost machine for a while."""
+    program = (
+        "import time\nfrom pathlib import Path\nfrom scanrender.batch.lock import locked\n"
+        f"with locked(Path({str(tmp_path)!r})):\n    print('held', flush=True)\n    time.sleep(1)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"held\n"
+        with pytest.raises(OutputError, match="another run works in"), locked(tmp_path):
+            pass
+        with locked(tmp_path, wait_s=60.0):
+            assert f"process {os.getpid()} " in (tmp_path / LOCK_NAME).read_text()

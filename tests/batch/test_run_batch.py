@@ -10,9 +10,14 @@ from render.synthetic import pipeline, sphere
 
 from scanrender.asset import save_asset
 from scanrender.batch import job as batch_job
+from scanrender.batch import run as batch_run
+from scanrender.batch import state
 from scanrender.batch.job import Result, run_job
-from scanrender.batch.jobs import Job
+from scanrender.batch.jobs import Job, single_job
+from scanrender.batch.memory import render_mib
+from scanrender.batch.record import Record, load_record
 from scanrender.batch.run import run_batch
+from scanrender.batch.state import Records
 from scanrender.errors import BatchError, OutputError, ScanError, StageError, UsageError
 from scanrender.files import TEMPORARY_PREFIX, check_writable
 
@@ -73,6 +78,46 @@ def test_the_others_complete(monkeypatch: pytest.MonkeyPatch, error: Exception):
     assert caught.value.exit_code == 8
     assert "b.obj" in str(caught.value.where)
     assert len(said) == 4, "a line a scan, and one for what failed"
+
+
+def test_of_a_matrix_jobs_are_counted(monkeypatch: pytest.MonkeyPatch):
+    fake_jobs(monkeypatch, {"b.obj": ScanError("no faces")})
+    looks = {"look": {"natural": {}, "oily": {"skin": {"scale": 0.5}}}}
+    several = TINY.model_copy(update={"matrix": looks})
+    batch = run_batch(SCANS, several, Path("out"), silent, lambda line: None)
+    with pytest.raises(BatchError, match="2 of 6 jobs") as caught:
+        batch.raise_if_failed()
+    assert "b.obj oily" in str(caught.value.where)
+
+
+def test_a_scan_that_cannot_begin_any_more_is_in_the_summary(
+    monkeypatch: pytest.MonkeyPatch, asset: Path, tmp_path: Path
+):
+    other = save_asset(sphere(20.0, (0.6, 0.3, 0.2), rings=10), tmp_path / "other")
+    run_batch([asset, other], TINY, tmp_path / "out", silent, print).raise_if_failed()
+
+    def records_of(job: Job) -> Records:
+        if job.scan == other:
+            raise ScanError("it is gone")
+        return state.records_of(job)
+
+    monkeypatch.setattr(batch_run, "records_of", records_of)
+    batch = run_batch([asset, other], TINY, tmp_path / "out", silent, print)
+    assert [result.cached for result in batch.results] == [True]
+    summary = json.loads((tmp_path / "out" / "batch.json").read_text())
+    assert [job["status"] for job in summary["jobs"]] == ["failed", "cached"]
+
+
+def test_memory_of_frames_is_known_from_the_last_ones(asset: Path, tmp_path: Path):
+    run_job(asset, TINY, tmp_path, silent)
+    record = load_record(tmp_path)
+    measured = record.stages["frames"].notes["peak_mib"]
+    assert measured > 50  # a Python with its libraries has more than that
+    same = single_job(asset, TINY, tmp_path)
+    larger = pipeline(TINY.model_dump(mode="json"), camera={"width_px": 64, "height_px": 32})
+    assert measured < render_mib(same, record) < 1.5 * measured
+    guess = render_mib(same, Record(tmp_path))
+    assert render_mib(single_job(asset, larger, tmp_path), record) >= guess > 500
 
 
 def test_one_scan_fails_with_its_own_error_and_writes_straight_into_out(
@@ -181,7 +226,8 @@ def test_a_second_run_that_fails_leaves_no_manifest_to_vouch_for_it(
     assert (tmp_path / "manifest.json").is_file()
 
     def stop(stage: str, fraction: float) -> None:
-        raise StageError("the machine went away")
+        if stage == "render":
+            raise StageError("the machine went away")
 
     other = pipeline(TINY.model_dump(mode="json"), skin={"scale": 0})
     with pytest.raises(StageError):

@@ -166,6 +166,17 @@ def test_failures_come_first_and_are_in_the_summary(cli, assets: Path, folder: P
     assert {event["scan"] for event in events} == {"anna", "bert", "zz"}
 
 
+@pytest.mark.parametrize(("words", "guarded"), [([], False), (["--timeout", "600"], True)])
+def test_one_scan_that_may_hang_has_a_worker(cli, assets: Path, folder: Path, words, guarded: bool):
+    said = "from scanrender.batch.pool import Pool\n"
+    said += "own = Pool._start\nPool._start = lambda pool: print('a worker') or own(pool)\n"
+    arguments = ["run", "plain.yaml", "heads/anna", "--out", "out", "--progress", "none", *words]
+    done = cli(*arguments, code=said)
+    assert done.returncode == 0, done.stderr
+    assert ("a worker" in done.stdout) == guarded
+    assert (folder / "out" / "manifest.json").exists()
+
+
 def test_cache_says_what_is_there_and_what_is_not(cli, assets: Path, folder: Path):
     words = ["plain.yaml", "heads", "--out", "out"]
     assert cli("run", *words, "--progress", "none").returncode == 0

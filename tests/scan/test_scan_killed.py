@@ -233,7 +233,7 @@ def dead_process() -> int:
 
 @pytest.mark.skipif(os.name != "posix", reason="process numbers cannot be asked about")
 def test_only_leftovers_of_dead_processes_of_this_machine_are_removed(tmp_path):
-    here, dead = files._machine(), dead_process()
+    here, dead = files.machine(), dead_process()
     stale = tmp_path / f"{TEMPORARY_PREFIX}{here}-{dead}-0123abcd-asset"
     stale.mkdir()
     (stale / "mesh.glb").write_bytes(b"half")
@@ -250,9 +250,20 @@ def test_only_leftovers_of_dead_processes_of_this_machine_are_removed(tmp_path):
     assert names(tmp_path) == sorted(kept)
 
 
+def test_leftovers_of_a_machine_that_was_lost_are_removed(tmp_path):
+    lost, other = "1" * 8, "2" * 8
+    for machine, name in ((lost, "asset"), (lost, "asset-dim"), (other, "asset")):
+        (tmp_path / f"{TEMPORARY_PREFIX}{machine}-77-0123abcd-{name}").mkdir()
+    (tmp_path / f"{TEMPORARY_PREFIX}{lost}-77-89abcdefold-kept").mkdir()
+    clean_stale(tmp_path, lost=lost, named="asset")
+    assert len(names(tmp_path)) == 3, "beside it another one is at work"
+    clean_stale(tmp_path, lost=lost)
+    assert names(tmp_path) == [f"{TEMPORARY_PREFIX}{other}-77-0123abcd-asset", "kept"]
+
+
 @pytest.mark.skipif(os.name != "posix", reason="process numbers cannot be asked about")
 def test_a_process_that_died_between_its_two_renames_costs_nobody_the_old_asset(tmp_path):
-    owner = f"{TEMPORARY_PREFIX}{files._machine()}-{dead_process()}-0123abcd"
+    owner = f"{TEMPORARY_PREFIX}{files.machine()}-{dead_process()}-0123abcd"
     (tmp_path / f"{owner}old-asset").mkdir()
     (tmp_path / f"{owner}old-asset" / "old.txt").write_text("whole")
     (tmp_path / f"{owner}-asset").mkdir()

@@ -9,15 +9,15 @@ import pytest
 from pydantic import BaseModel
 
 from scanrender.resources import data_folder
-from scanrender.settings.loading import _models_in
 from scanrender.settings.pipeline import Pipeline
 from scanrender.settings.schema import pipeline_schema
+from scanrender.settings.validation import models_in
 
 
 def sections(model: type[BaseModel] = Pipeline) -> list[type[BaseModel]]:
     found = [model]
     for info in model.model_fields.values():
-        for inner in _models_in(info.annotation):
+        for inner in models_in(info.annotation):
             found += [section for section in sections(inner) if section not in found]
     return found
 
@@ -26,7 +26,7 @@ FIELDS = [
     (section, name, info)
     for section in sections()
     for name, info in section.model_fields.items()
-    if name != "type" and not _models_in(info.annotation)
+    if name != "type" and not models_in(info.annotation)
 ]
 
 
