@@ -25,6 +25,8 @@ Buffers = Mapping[str, Array]
 Incident = Callable[[Mapping[str, Any], Array], tuple[Array, Array]]
 # Of a texel, and of a depth, that float32 may be off after the matrices of camera and lamp.
 NEAR_BORDER = 1e-4
+# Of the largest transmittance, by which the rounding of a depth may change one that is compared.
+HANGS_ON_ROUNDING = 1e-4
 
 
 class _Map:
@@ -153,22 +155,32 @@ def transmittance_step(scene: Scene, shot: Shot, b: Buffers) -> Array | None:
     root = np.linspace(0.0, 1.0, TABLE_SIZE)
     table = scene.profile.transmittance(opaque_mm * root**2).astype(np.float32)
     blur = max(min(settings.blur_mm, MAX_PENUMBRA * scene.radius_mm), texel)
+
+    def passes(thick: Array) -> Array:
+        t = np.clip((thick - bias) / max(bias, 1e-300), 0.0, 1.0)
+        fades = np.where(thick >= opaque_mm, 0.0, t * t * (3.0 - 2.0 * t))
+        at = np.sqrt(np.minimum(thick / opaque_mm, 1.0))
+        through = [np.interp(at, root, table[:, c]) for c in range(3)]
+        return np.asarray(fades[..., None] * np.stack(through, axis=-1))
+
+    # A thickness is the difference of two depths, each of which a distant camera rounds.
+    rounding_mm = 4.0 * float(np.spacing(np.float32(np.abs(p).max())))
     total, unsure = np.zeros(p.shape), np.zeros(facing.shape, dtype=bool)
+    moved = np.zeros(facing.shape)
     for i in range(TAPS):
         way = np.broadcast_to(disk_point(i, TAPS, u["turn"]) * blur, inside.slope.shape)
         entry, offset, border = _first_depth(inside, way, shadow)
         leaves = _plane_depth(u, inside, offset)
         no_path = (facing < 0.0) & (entry > leaves + bias)
         thick = np.maximum(0.0, leaves - entry) * inside.way_per_depth + buried
-        t = np.clip((thick - bias) / max(bias, 1e-300), 0.0, 1.0)
-        fades = np.where(no_path | (thick >= opaque_mm), 0.0, t * t * (3.0 - 2.0 * t))
-        at = np.sqrt(np.minimum(thick / opaque_mm, 1.0))
-        through = [np.interp(at, root, table[:, c]) for c in range(3)]
-        total += fades[..., None] * np.stack(through, axis=-1)
+        through = passes(thick)
+        total += np.where(no_path[..., None], 0.0, through)
+        moved += np.abs(passes(thick + rounding_mm) - through).max(axis=-1) / TAPS
         unsure |= border | (np.abs(entry - leaves - bias) < NEAR_BORDER * texel)
         unsure |= np.abs(thick / opaque_mm - 1.0) < NEAR_BORDER
     lights = (settings.wrap - facing > 0.0) & inside.in_map & (b["position"][:, :, 3] > 0.0)
     found = np.where(lights[..., None], total / TAPS, 0.0)
+    unsure |= moved > HANGS_ON_ROUNDING * float(found.max())
     found[unsure & lights] = np.nan
     return found
 
