@@ -38,6 +38,7 @@ Progress = Callable[[str, float], None]
 Bytes = npt.NDArray[np.uint8]
 
 SAVE_EVERY_S = 1.0  # what a killed run has to do again
+KEPT, WAITING = 4, 1  # compression of frames
 
 
 def buffer_names(renderer: Renderer, asked: Sequence[str]) -> list[str]:
@@ -114,7 +115,15 @@ class Turntable:
         started = time.perf_counter()
         pixels = writing.begin(lambda: bytes_from_unit(frame.buffers["display"]))
         if index in work.render:
-            writing.write(self.frames, index, lambda: _write_png(job.folder, name, pixels.result()))
+            # What only waits for its video is gone in a minute: the cores have better to do.
+            level = KEPT if job.keeps_frames else WAITING
+            path = job.folder / name
+
+            def write() -> list[str]:
+                write_bytes_png(path, pixels.result(), level)
+                return [name]
+
+            writing.write(self.frames, index, write)
         if dumps:
             stage = self.record.stages["buffers"]
             writing.write(stage, index, lambda: self._write_buffers(frame, index, names))
@@ -218,11 +227,6 @@ def _read_png(path: Path) -> Bytes:
 
 def _encode(video: VideoWriter, pixels: Future[Bytes]) -> None:
     video.write(pixels.result())
-
-
-def _write_png(folder: Path, name: str, pixels: Bytes) -> list[str]:
-    write_bytes_png(folder / name, pixels)
-    return [name]
 
 
 def _check_device(renderer: Renderer) -> None:

@@ -247,7 +247,9 @@ def _around(data: Data, times: float) -> Data:
         moved = {}
         if "position_mm" in light:
             position = np.array(light["position_mm"]) * times
-            position *= _within(float(np.linalg.norm(position)), 1.0) / np.linalg.norm(position)
+            # A little more than is allowed: turned with the world, it must not fall below that.
+            far = _within(float(np.linalg.norm(position)), 1.001)
+            position *= far / np.linalg.norm(position)
             moved["position_mm"] = position.tolist()
         for name in ("distance_mm", "radius_mm"):
             if light.get(name):

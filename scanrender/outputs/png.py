@@ -22,14 +22,15 @@ def bytes_from_unit(values: npt.NDArray[np.floating]) -> Bytes:
     return levels
 
 
-def write_bytes_png(path: Path | str, pixels: Bytes) -> Path:
+def write_bytes_png(path: Path | str, pixels: Bytes, compression: int = 4) -> Path:
     """Write display-encoded (h, w, 3 or 4) bytes, marked as sRGB; alpha is coverage, unassociated.
 
-    Raises OutputError when the file cannot be written.
+    `compression` is zlib's, 1 (quick) to 9 (small); the pixels are the same. Raises OutputError
+    when the file cannot be written.
     """
     attributes = {
         "oiio:ColorSpace": "srgb_rec709_display",
-        "png:compressionLevel": 4,
+        "png:compressionLevel": compression,
         # Otherwise OpenImageIO takes colours for premultiplied and divides them by alpha.
         "oiio:UnassociatedAlpha": 1,
     }

@@ -55,6 +55,24 @@ def test_cases_are_the_same_each_time():
         np.testing.assert_array_equal(pixels, maps_of("nan")[name])
 
 
+# What `stress` found once, each with the one thing it broke.
+FOUND = {
+    # Curvature that widens the transmittance of what is thin: more than all light came through.
+    "sound": {"maps": "nan", "modulation": "increase", "forward": True, "transmission": "baked",
+              "size_mm": 0.1112},
+    # A lamp a millimetre from the centre, turned: less than that by a rounding, and refused.
+    "rotation": {"lamp": {"type": "point", "position_mm": [60.0, 60.0, 60.0], "radius_mm": 30.0},
+                 "size_mm": 0.03231},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("invariant", FOUND)
+def test_what_was_found_stays_cured(gl: Device, invariant: str):
+    outcome = examine(gl, case_of(FOUND[invariant]), invariant)
+    assert isinstance(outcome, Finding)
+    assert outcome.holds, stress.in_words(outcome)
+
+
 # A fault for the tests to find: light through ambient occlusion is no number.
 FAULT = (
     "float open = texelFetch(ao, here, 0).r;",

@@ -108,7 +108,8 @@ void main() {
     vec3 t = crossing(p.xyz, n, l, here);
 #ifdef CURVATURE
     float bent = min(max(texelFetch(curvature, here, 0).r, 0.0) * width_by_curvature.z, 1.0);
-    t *= width_by_curvature.x + width_by_curvature.y * bent;
+    // A share of the light: `increase` doubles what thin skin lets through, up to all there is.
+    t = min(t * (width_by_curvature.x + width_by_curvature.y * bent), vec3(1.0));
 #endif
     transmittance = vec4(t, 1.0);
 
