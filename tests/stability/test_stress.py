@@ -63,6 +63,8 @@ FOUND = {
     # A lamp a millimetre from the centre, turned: less than that by a rounding, and refused.
     "rotation": {"lamp": {"type": "point", "position_mm": [60.0, 60.0, 60.0], "radius_mm": 30.0},
                  "size_mm": 0.03231},
+    # Four taps, none of them in the middle, of kernels wider than the subject: 0.987.
+    "resolution": {"irradiance": 1.562e7, "scale": 2.26, "samples": 4, "size_mm": 0.1625},
 }  # fmt: skip
 
 

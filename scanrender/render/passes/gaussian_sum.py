@@ -44,9 +44,11 @@ TABLE_RADIUS = 13
 def taps_for(samples: int, sigma_px: float) -> int:
     """Taps that a Gaussian needs: never more than one a pixel, which is all there is to read.
 
-    Odd, so that the centre is a tap. `samples` is what the user allows at most.
+    Odd, so that the centre is a tap: four leave the pixel itself out, and differ from one
+    resolution to the next by more than three. `samples` is what the user allows at most.
     """
-    return min(samples, 2 * math.ceil(REACH_SIGMA * sigma_px) + 1)
+    odd = samples - (samples + 1) % 2
+    return min(odd, 2 * math.ceil(REACH_SIGMA * sigma_px) + 1)
 
 
 def narrow_taps(samples: int) -> tuple[int, float]:
