@@ -11,7 +11,8 @@ from pathlib import Path
 
 PROC = Path("/proc")
 SUDDEN, AGAIN_S = 1.1, 0.02
-COST = 0.02  # of the time may go into looking
+INTERVAL_S = 0.25
+COST = 0.02  # of the time may go into looking, where no interval is asked for
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Watch:
     child is counted with all of its parent's memory.
     """
 
-    def __init__(self, interval_s: float = 0.25) -> None:
+    def __init__(self, interval_s: float | None = None) -> None:
         self.interval_s = interval_s
         self.samples: list[tuple[float, int]] = []  # time.perf_counter() and KiB
         self.usage = Usage(0.0, 0.0, None, 0)
@@ -59,9 +60,9 @@ class Watch:
     def peak_mib(self, start: float, stop: float) -> int | None:
         """Peak between two moments of time.perf_counter(); None when nothing was sampled."""
         # Nothing may fall between the samples of a short stage: the next one after it counts too.
-        within = [kib for at, kib in self.samples if start <= at <= stop]
-        after = [kib for at, kib in self.samples if at > stop][:1]
-        return max(within + after) // 1024 if within or after else None
+        soon = stop + (self.interval_s or INTERVAL_S)
+        near = [kib for at, kib in self.samples if start <= at <= soon]
+        return max(near) // 1024 if near else None
 
     def _poll(self) -> None:
         while True:
@@ -74,7 +75,7 @@ class Watch:
                 now = min(now, tree_kib(os.getpid()) or now)
             if now is not None:
                 self.samples.append((time.perf_counter(), now))
-            if self._stop.wait(max(self.interval_s, spent / COST)):
+            if self._stop.wait(self.interval_s or max(INTERVAL_S, spent / COST)):
                 return
 
 
