@@ -218,7 +218,8 @@ def _resident_mib(process: int) -> float:
 
 
 LINES = (
-    ("case", "case"), ("frames", "frames"), ("job_s", "whole job s"), ("frames_alone_s", "frames alone s"),
+    ("case", "case"), ("frames", "frames"),
+    ("job_s", "whole job s"), ("frames_alone_s", "frames alone s"),
     ("share", "rendering alone / whole job"), ("scans", "scans"),
     ("one_worker_s", "one worker on one core s"), ("two_workers_s", "two workers s"),
     ("gain", "one / two"), ("parent_mib", "parent's memory, most, MiB"),
