@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from batch.killing import KILL
 from render.synthetic import pipeline, sphere_mesh
 
 from scanrender.batch.record import RECORD_NAME
@@ -74,11 +75,11 @@ class Counted:
         return found
 
 
-def contents(folder: Path) -> dict[str, bytes]:
+def contents(folder: Path) -> dict[str, str]:
     """Everything but what tells times."""
     telling = {RECORD_NAME, "log.txt", "manifest.json", "asset.json", "prep_report.json"}
     files = [path for path in folder.rglob("*") if path.is_file() and path.name not in telling]
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+    return {path.relative_to(folder).as_posix(): KILL.digest(path) for path in sorted(files)}
 
 
 def flip_a_bit(path: Path) -> None:

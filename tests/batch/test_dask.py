@@ -58,12 +58,12 @@ def assets(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def expected(assets: list[str], tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+def expected(assets: list[str], tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """What a local run makes."""
     folder = tmp_path_factory.mktemp("expected")
     batch = KILL.Batch([pipeline_file(folder), *assets, "--jobs", "2"], folder / "out")
     batch.run()
-    found: dict[str, bytes] = KILL.contents(batch.out)
+    found: dict[str, str] = KILL.contents(batch.out)
     return found
 
 
@@ -87,7 +87,7 @@ def renders(batch: Any) -> bool:
 
 
 def test_a_worker_killed_in_the_middle_costs_one_try(
-    cluster: Cluster, assets: list[str], expected: dict[str, bytes], tmp_path: Path
+    cluster: Cluster, assets: list[str], expected: dict[str, str], tmp_path: Path
 ):
     victim = cluster.at_least(2)[0]
     batch = batch_of(tmp_path, assets, cluster.address)
@@ -130,7 +130,7 @@ def test_tries_are_bounded_and_the_others_complete(
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_when_the_command_ends_its_tasks_end(
-    cluster: Cluster, assets: list[str], expected: dict[str, bytes], tmp_path: Path, number: int
+    cluster: Cluster, assets: list[str], expected: dict[str, str], tmp_path: Path, number: int
 ):
     cluster.at_least(1)
     batch = batch_of(tmp_path, assets, cluster.address)
@@ -161,7 +161,7 @@ def test_a_scan_in_two_looks_is_prepared_once(cluster: Cluster, tmp_path: Path):
 
 
 def test_local_starts_a_cluster_and_ends_it(
-    assets: list[str], expected: dict[str, bytes], tmp_path: Path
+    assets: list[str], expected: dict[str, str], tmp_path: Path
 ):
     batch = batch_of(tmp_path, assets, "local", "--jobs", "2")
     batch.run()

@@ -45,11 +45,11 @@ def assets(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 @pytest.fixture(scope="module")
-def expected(assets: list[Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+def expected(assets: list[Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     out = tmp_path_factory.mktemp("expected")
     batch = run(make(assets, out), out)
     assert len(batch.results) == 2
-    found: dict[str, bytes] = KILL.contents(out)
+    found: dict[str, str] = KILL.contents(out)
     return found
 
 

@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
+from batch.killing import KILL
 from cli.test_commands import SHOW_MODULES, files_in, write_ball
 from render.synthetic import sphere
 
@@ -52,11 +53,11 @@ def assets(folder: Path) -> Path:
     return folder / "heads"
 
 
-def results(folder: Path) -> dict[str, bytes]:
+def results(folder: Path) -> dict[str, str]:
     telling = ("manifest.json", "batch.json", "asset.json", "prep_report.json", "report.html")
     names = {name for name in files_in(folder) if name.split("/")[-1] not in telling}
     names = {name for name in names if not name.startswith(".report/")}
-    return {name: (folder / name).read_bytes() for name in names}
+    return {name: KILL.digest(folder / name) for name in sorted(names)}
 
 
 def test_a_matrix_of_a_raw_scan_is_prepared_once(cli, folder: Path):
