@@ -16,7 +16,12 @@ import numpy.typing as npt
 from scanrender.optics.kernels import GOLDEN_ANGLE_RAD, disk_taps
 from scanrender.render.lamps import Lamp
 from scanrender.render.passes._lamp import DISK_TAPS, shadow_uniforms
-from scanrender.render.passes.transmission import TABLE_SIZE, TAPS, _transmittance_table
+from scanrender.render.passes.transmission import (
+    TABLE_SIZE,
+    TAPS,
+    _transmittance_table,
+    bias_mm,
+)
 from scanrender.render.passes.visibility import MAX_PENUMBRA
 from scanrender.render.scene import Scene, Shot
 
@@ -48,9 +53,10 @@ class LightPoint(NamedTuple):
     slope: Array
 
 
-def disk_point(i: int, count: int, turn: float) -> Array:
+def disk_point(i: int, count: int, spiral: tuple[float, float]) -> Array:
+    turn, hand = spiral
     radius, angle = np.sqrt((i + 0.5) / count), i * GOLDEN_ANGLE_RAD + turn
-    return np.asarray(radius * np.array([np.cos(angle), np.sin(angle)]))
+    return np.asarray(radius * np.array([hand * np.cos(angle), np.sin(angle)]))
 
 
 def light_point(u: Mapping[str, Any], p: Array, normal: Array) -> LightPoint:
@@ -119,7 +125,7 @@ def visibility_step(scene: Scene, shot: Shot, b: Buffers, lamp: Lamp) -> Array |
     narrower = 1.0 - 1.0 / np.sqrt(1.0 + squared)
     seen, unsure = np.zeros_like(share), np.zeros(share.shape, dtype=bool)
     for i in range(DISK_TAPS):
-        way = np.broadcast_to(disk_point(i, DISK_TAPS, u["turn"]), lit.slope.shape)
+        way = np.broadcast_to(disk_point(i, DISK_TAPS, u["spiral"]), lit.slope.shape)
         way = way * max(blur, texel)
         along = np.sum(way * lit.slope, axis=-1) / np.maximum(squared, 1e-12) * narrower
         way = np.where(squared[..., None] < 1e-12, way, way - lit.slope * along[..., None])
@@ -148,7 +154,8 @@ def transmittance_step(scene: Scene, shot: Shot, b: Buffers) -> Array | None:
     if u["light_is_near"]:
         to_light = d / np.linalg.norm(d, axis=-1, keepdims=True)
     facing = np.sum(to_light * n, axis=-1)
-    bias, texel = settings.bias_mm, u["texel_mm"]
+    texel = u["texel_mm"]
+    bias = bias_mm(scene, texel)
     inside = light_point(u, p - n * bias, n)
     buried = bias * np.maximum(0.0, -facing)
     _, opaque_mm = _transmittance_table(scene)
@@ -168,7 +175,7 @@ def transmittance_step(scene: Scene, shot: Shot, b: Buffers) -> Array | None:
     total, unsure = np.zeros(p.shape), np.zeros(facing.shape, dtype=bool)
     moved = np.zeros(facing.shape)
     for i in range(TAPS):
-        way = np.broadcast_to(disk_point(i, TAPS, u["turn"]) * blur, inside.slope.shape)
+        way = np.broadcast_to(disk_point(i, TAPS, u["spiral"]) * blur, inside.slope.shape)
         entry, offset, border = _first_depth(inside, way, shadow)
         leaves = _plane_depth(u, inside, offset)
         no_path = (facing < 0.0) & (entry > leaves + bias)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import moderngl
 import numpy as np
 
-from scanrender.optics.kernels import GOLDEN_ANGLE_RAD
 from scanrender.render.environment import Environment
 from scanrender.render.lamps import Lamp
 from scanrender.render.scene import Shot
@@ -43,9 +43,19 @@ def shadow_uniforms(lamp: Lamp, shot: Shot, shadow_map: moderngl.Texture) -> dic
         "clip_from_light": lamp.clip_from_light,
         "light_front_mm": lamp.distance_mm - lamp.near_mm,
         "texel_mm": lamp.width_mm / shadow_map.size[0],
-        # Each supersample turns the disk, so that their average has many more taps than one.
-        "turn": float(shot.sample * GOLDEN_ANGLE_RAD / DISK_TAPS),
+        "spiral": spiral(shot.sample),
     }
+
+
+def spiral(sample: int) -> tuple[float, float]:
+    """Turn in radians and hand (1 or -1) of the disk of taps for one supersample.
+
+    Their average has many more taps than one. Pairs are mirror images, or a mirrored scene would
+    not give the mirrored picture; sqrt 3 of a turn from pair to pair, since no whole number of
+    golden angles comes near it: taps of two samples would stand in rows, or leave half of each
+    ring to one side.
+    """
+    return math.tau * math.fmod(sample // 2 * math.sqrt(3.0), 1.0), 1.0 - 2.0 * (sample % 2)
 
 
 def environment_uniforms(environment: Environment, shot: Shot) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from scanrender.render.scene import Scene, Shot
 # Taps that average T(d), a pixel, lamp and supersample.
 TAPS = 8
 TABLE_SIZE = 1024
+RESOLVED_TEXELS = 2.0
 OPAQUE_BELOW = 1e-4
 SURFACE = ("position", "normal_geometry", "albedo", "skin")
 
@@ -98,17 +99,24 @@ def _lamp_uniforms(
     scene: Scene, lamp: Lamp, shot: Shot, inputs: Mapping[str, moderngl.Texture]
 ) -> dict[str, Any]:
     shadow_map = inputs[f"shadow_{lamp.index}"] if lamp.settings.shadow else scene.white
+    uniforms = shadow_uniforms(lamp, shot, shadow_map)
     return {
-        **shadow_uniforms(lamp, shot, shadow_map),
+        **uniforms,
+        "bias_mm": bias_mm(scene, uniforms["texel_mm"]),
         "has_shadow": lamp.settings.shadow,
         "far_mm": 2.0 * scene.radius_mm,
     }
 
 
+def bias_mm(scene: Scene, texel_mm: float) -> float:
+    """Thinner skin is the lit face itself: a coarse map does not tell the two apart, and where it
+    was asked to, its texels showed as noise along the terminator."""
+    return max(scene.pipeline.skin.transmission.bias_mm, RESOLVED_TEXELS * texel_mm)
+
+
 def _material(scene: Scene) -> dict[str, Any]:
     transmission = scene.pipeline.skin.transmission
     return {
-        "bias_mm": transmission.bias_mm,
         "blur_mm": min(transmission.blur_mm, MAX_PENUMBRA * scene.radius_mm),
         "wrap": transmission.wrap,
         "use_skin": scene.uses_skin_map,

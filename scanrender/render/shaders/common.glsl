@@ -4,10 +4,11 @@
 const float PI = 3.14159265358979;
 const float GOLDEN_ANGLE = 2.39996322972865;
 
-// Golden-angle disk: point i of n on the unit disk, uniform by area, turned by `turn` radians.
+// Golden-angle disk: point i of n on the unit disk, uniform by area, turned by `spiral.x`
+// radians, then mirrored in x where `spiral.y` is -1 (a spiral has a hand, a lamp has none).
 // Deterministic; (i + 0.5) keeps it off the centre and off the rim.
-vec2 disk_point(int i, int n, float turn) {
+vec2 disk_point(int i, int n, vec2 spiral) {
     float radius = sqrt((float(i) + 0.5) / float(n));
-    float angle = float(i) * GOLDEN_ANGLE + turn;
-    return radius * vec2(cos(angle), sin(angle));
+    float angle = float(i) * GOLDEN_ANGLE + spiral.x;
+    return radius * vec2(spiral.y * cos(angle), sin(angle));
 }

@@ -24,7 +24,7 @@ uniform float wrap;            // light enters past the terminator: 0 physical
 uniform float far_mm;          // thickness where the light never entered
 uniform bool use_skin;
 uniform int tap_count;
-uniform float turn;
+uniform vec2 spiral;
 #ifdef BAKED
 uniform sampler2D baked;       // g: mm
 uniform bool has_shadow;
@@ -57,7 +57,7 @@ vec3 crossing(vec3 p, vec3 n, vec3 l, ivec2 here) {
     float slack = max(bias_mm, 0.5 * d) + texel_mm;
     float seen = 0.0;
     for (int i = 0; i < tap_count; ++i) {
-        vec2 offset = disk_point(i, tap_count, turn) * max(blur_mm, texel_mm);
+        vec2 offset = disk_point(i, tap_count, spiral) * max(blur_mm, texel_mm);
         float first = first_depth(back, offset);
         seen += first < plane_depth(back, offset) - slack ? 0.0 : 1.0;
     }
@@ -75,7 +75,7 @@ vec3 crossing(vec3 p, vec3 n, vec3 l, ivec2 here) {
     float thickness = 0.0;
     float paths = 0.0;
     for (int i = 0; i < tap_count; ++i) {
-        vec2 offset = disk_point(i, tap_count, turn) * max(blur_mm, texel_mm);
+        vec2 offset = disk_point(i, tap_count, spiral) * max(blur_mm, texel_mm);
         float entry = first_depth(inside, offset);
         // Away from the light, a tap that enters deeper than the point itself (or nowhere) tells of
         // no path through skin: it counts as thick. On the lit side it is the lit face, 0 thick.

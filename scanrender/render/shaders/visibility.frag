@@ -20,7 +20,7 @@ uniform float reach_mm;     // mm, widest penumbra that is looked for
 uniform float texel_mm;     // mm, one shadow map texel at the subject's centre
 uniform int taps;
 uniform int search_taps;
-uniform float turn;         // radians, differs per supersample so that their average is finer
+uniform vec2 spiral;        // radians and hand, differ per supersample: their average is finer
 
 layout(location = 0) out float visibility;
 
@@ -63,7 +63,7 @@ float search(LightPoint p) {
     float count = 0.0;
     for (int i = 0; i < search_taps; ++i) {
         // Denser toward the middle (as 1/r), where the low blockers of a contact are.
-        vec2 offset = disk_point(i, search_taps, turn);
+        vec2 offset = disk_point(i, search_taps, spiral);
         offset *= widest * length(offset);
         float first = first_depth(p, offset);
         if (is_blocked(p, offset, first, 1.0)) {
@@ -105,7 +105,7 @@ void main() {
 #endif
     float sum = 0.0;
     for (int i = 0; i < taps; ++i) {
-        vec2 offset = on_surface(lit, disk_point(i, taps, turn) * radius_mm);
+        vec2 offset = on_surface(lit, disk_point(i, taps, spiral) * radius_mm);
         float first = first_depth(lit, offset);
         sum += is_blocked(lit, offset, first, 0.5) ? 0.0 : 1.0;
     }
