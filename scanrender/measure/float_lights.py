@@ -18,9 +18,9 @@ from scanrender.render.lamps import Lamp
 from scanrender.render.passes._lamp import DISK_TAPS, shadow_uniforms
 from scanrender.render.passes.transmission import (
     TABLE_SIZE,
-    TAPS,
     _transmittance_table,
-    bias_mm,
+    blur_mm,
+    tap_count,
 )
 from scanrender.render.passes.visibility import MAX_PENUMBRA
 from scanrender.render.scene import Scene, Shot
@@ -32,6 +32,7 @@ Incident = Callable[[Mapping[str, Any], Array], tuple[Array, Array]]
 NEAR_BORDER = 1e-4
 # Of the largest transmittance, by which the rounding of a depth may change one that is compared.
 HANGS_ON_ROUNDING = 1e-4
+ROW_TURN_RAD = 2.0 * np.pi * (np.sqrt(2.0) - 1.0)
 
 
 class _Map:
@@ -53,10 +54,16 @@ class LightPoint(NamedTuple):
     slope: Array
 
 
-def disk_point(i: int, count: int, spiral: tuple[float, float]) -> Array:
+def disk_point(i: int, count: int, spiral: tuple[Array | float, Array | float]) -> Array:
     turn, hand = spiral
     radius, angle = np.sqrt((i + 0.5) / count), i * GOLDEN_ANGLE_RAD + turn
-    return np.asarray(radius * np.array([hand * np.cos(angle), np.sin(angle)]))
+    return np.asarray(radius * np.stack([hand * np.cos(angle), np.sin(angle)], axis=-1))
+
+
+def spirals_of(pixels: tuple[int, ...], turn: float) -> tuple[Array, Array]:
+    """`spiral_here` of every pixel, rows bottom-up."""
+    y, x = np.indices(pixels) & 1
+    return turn + ROW_TURN_RAD * y, 1.0 - 2.0 * x
 
 
 def light_point(u: Mapping[str, Any], p: Array, normal: Array) -> LightPoint:
@@ -124,9 +131,9 @@ def visibility_step(scene: Scene, shot: Shot, b: Buffers, lamp: Lamp) -> Array |
     squared = np.sum(lit.slope**2, axis=-1)
     narrower = 1.0 - 1.0 / np.sqrt(1.0 + squared)
     seen, unsure = np.zeros_like(share), np.zeros(share.shape, dtype=bool)
+    own = spirals_of(share.shape, u["turn"])
     for i in range(DISK_TAPS):
-        way = np.broadcast_to(disk_point(i, DISK_TAPS, u["spiral"]), lit.slope.shape)
-        way = way * max(blur, texel)
+        way = disk_point(i, DISK_TAPS, own) * max(blur, texel)
         along = np.sum(way * lit.slope, axis=-1) / np.maximum(squared, 1e-12) * narrower
         way = np.where(squared[..., None] < 1e-12, way, way - lit.slope * along[..., None])
         first, offset, border = _first_depth(lit, way, shadow)
@@ -155,13 +162,14 @@ def transmittance_step(scene: Scene, shot: Shot, b: Buffers) -> Array | None:
         to_light = d / np.linalg.norm(d, axis=-1, keepdims=True)
     facing = np.sum(to_light * n, axis=-1)
     texel = u["texel_mm"]
-    bias = bias_mm(scene, texel)
-    inside = light_point(u, p - n * bias, n)
+    slope = light_point(u, p, n).slope
+    bias = np.maximum(settings.bias_mm, 2.0 * texel * np.minimum(np.sum(slope**2, axis=-1), 1.0))
+    inside = light_point(u, p - n * bias[..., None], n)
     buried = bias * np.maximum(0.0, -facing)
     _, opaque_mm = _transmittance_table(scene)
     root = np.linspace(0.0, 1.0, TABLE_SIZE)
     table = scene.profile.transmittance(opaque_mm * root**2).astype(np.float32)
-    blur = max(min(settings.blur_mm, MAX_PENUMBRA * scene.radius_mm), texel)
+    blur = max(blur_mm(scene), texel)
 
     def passes(thick: Array) -> Array:
         t = np.clip((thick - bias) / max(bias, 1e-300), 0.0, 1.0)
@@ -174,19 +182,20 @@ def transmittance_step(scene: Scene, shot: Shot, b: Buffers) -> Array | None:
     rounding_mm = 4.0 * float(np.spacing(np.float32(np.abs(p).max())))
     total, unsure = np.zeros(p.shape), np.zeros(facing.shape, dtype=bool)
     moved = np.zeros(facing.shape)
-    for i in range(TAPS):
-        way = np.broadcast_to(disk_point(i, TAPS, u["spiral"]) * blur, inside.slope.shape)
+    own, taps = spirals_of(facing.shape, u["turn"]), tap_count(scene)
+    for i in range(taps):
+        way = disk_point(i, taps, own) * blur
         entry, offset, border = _first_depth(inside, way, shadow)
         leaves = _plane_depth(u, inside, offset)
         no_path = (facing < 0.0) & (entry > leaves + bias)
         thick = np.maximum(0.0, leaves - entry) * inside.way_per_depth + buried
         through = passes(thick)
         total += np.where(no_path[..., None], 0.0, through)
-        moved += np.abs(passes(thick + rounding_mm) - through).max(axis=-1) / TAPS
+        moved += np.abs(passes(thick + rounding_mm) - through).max(axis=-1) / taps
         unsure |= border | (np.abs(entry - leaves - bias) < NEAR_BORDER * texel)
         unsure |= np.abs(thick / opaque_mm - 1.0) < NEAR_BORDER
     lights = (settings.wrap - facing > 0.0) & inside.in_map & (b["position"][:, :, 3] > 0.0)
-    found = np.where(lights[..., None], total / TAPS, 0.0)
+    found = np.where(lights[..., None], total / taps, 0.0)
     unsure |= moved > HANGS_ON_ROUNDING * float(found.max())
     found[unsure & lights] = np.nan
     return found

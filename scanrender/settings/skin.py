@@ -63,7 +63,7 @@ class TransmissionSettings(Section):
     bias_mm: float = setting(
         0.6,
         "The receiver is moved this far below its surface, or two texels of the shadow map where "
-        "these are larger; thinner skin is the lit face itself.",
+        "these are larger and the light grazes; thinner skin is the lit face itself.",
         unit="mm",
         ge=0,
         le=20,

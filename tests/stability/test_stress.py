@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -69,6 +70,14 @@ FOUND: list[tuple[str, dict[str, Any]]] = [
     ("mirror", {"bias_mm": 0.1, "ambient": 0.0, "wrap": 1.0}),
     ("mirror", {"azimuth_deg": -154.1082, "scale": 28.55, "wrap": 0.3,
                 "colour": [0.0001, 1.0, 10000.0]}),
+    # Light that scatters once has one sample's taps, and a spiral has a hand: 1.09.
+    ("mirror", {"fov_deg": 128.8686, "resolution": "half", "size_mm": 2.169}),
+    # Eight taps of an average as wide as a finger: 1.32.
+    ("mirror", {"profile": 48.52, "wrap": 1.0, "blur_mm": 20.0}),
+    # Kernels wider than the subject, whose taps beside its outline lay too far apart: 0.79, 0.97.
+    ("resolution", {"distance": 0.3056, "samples": 4, "size_mm": 0.000868}),
+    ("resolution", {"profile": 28.08, "samples": 64, "size_mm": 0.5484,
+                    "lamp": {"type": "point", "position_mm": [0.0, 1.0, 0.0]}}),
 ]  # fmt: skip
 
 

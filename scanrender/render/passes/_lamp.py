@@ -43,19 +43,17 @@ def shadow_uniforms(lamp: Lamp, shot: Shot, shadow_map: moderngl.Texture) -> dic
         "clip_from_light": lamp.clip_from_light,
         "light_front_mm": lamp.distance_mm - lamp.near_mm,
         "texel_mm": lamp.width_mm / shadow_map.size[0],
-        "spiral": spiral(shot.sample),
+        "turn": turn_rad(shot.sample),
     }
 
 
-def spiral(sample: int) -> tuple[float, float]:
-    """Turn in radians and hand (1 or -1) of the disk of taps for one supersample.
+def turn_rad(sample: int) -> float:
+    """Of one supersample's disk of taps, so that their average has many more taps than one.
 
-    Their average has many more taps than one. Pairs are mirror images, or a mirrored scene would
-    not give the mirrored picture; sqrt 3 of a turn from pair to pair, since no whole number of
-    golden angles comes near it: taps of two samples would stand in rows, or leave half of each
-    ring to one side.
+    Sqrt 3 of a turn, since no number of golden angles comes near a multiple of it: otherwise taps
+    of several samples stand in rows, or leave half of each ring to one side.
     """
-    return math.tau * math.fmod(sample // 2 * math.sqrt(3.0), 1.0), 1.0 - 2.0 * (sample % 2)
+    return math.tau * math.fmod(sample * math.sqrt(3.0), 1.0)
 
 
 def environment_uniforms(environment: Environment, shot: Shot) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from scanrender.render.passes._scatter import (
     sample_shift_px,
     uniforms,
     weight_pass,
+    width_by_curvature,
 )
 from scanrender.render.scene import Scene, Shot
 
@@ -33,6 +34,12 @@ REACH_SIGMA = 3.0
 # than LEAST_STEP.
 GAPLESS_TAPS = 5.0
 LEAST_STEP = 1.8
+# The same where the Gaussian is so wide, in shares of the subject's bounding radius, that its taps
+# also have to find the outlines: three times as close, and never as wide as above.
+OUTLINE_SHARE = 0.1
+OUTLINE_TAPS, LEAST_OUTLINE_STEP, MOST_OUTLINE_STEP = 15.0, 0.4, 1.0
+# From so many radii on a Gaussian weighs all of the subject alike, within 1 %.
+EVEN_SHARE, LEAST_FACTOR = 8.0, 0.02
 DIRECT = "diffusion_input"
 # Whole-pixel taps up to this sigma, at any number of samples up to the lesser one.
 TABLE_PX = 4.0
@@ -83,26 +90,36 @@ def blurs(scene: Scene) -> list[Blur]:
 
     Taps of a Gaussian many times wider than what it blurs lie far apart, and show as many copies
     of every edge. Steps in between have taps no further apart than 1.2 sigmas of what is blurred,
-    where copies are far below 0.1 % high. An outline has no light beyond it that could be blurred:
-    a wide step would show copies of that, unless what it blurs is nearly as wide as the subject.
-    A profile on a surface that is not very near needs none.
+    where copies are far below 0.1 % high. A profile on a surface that is not very near needs none.
     """
-    px_per_mm = scene.nearest_px_per_mm * largest_width_factor(scene)
-    widest = max(scene.pipeline.diffusion.samples / GAPLESS_TAPS, LEAST_STEP)
+    pixel_mm = 1.0 / (scene.nearest_px_per_mm * largest_width_factor(scene))
+    narrowest = max(width_by_curvature(scene)[0], LEAST_FACTOR)
+    even_mm2 = (EVEN_SHARE * scene.radius_mm / narrowest) ** 2
     found: list[Blur] = []
     source, done = "diffusion_input", 0.0
     last = len(scene.levels.variances_mm2) - 1
-    for level, variance in enumerate(scene.levels.variances_mm2):
-        while math.sqrt(variance - done) * px_per_mm > (
-            step_px := widest * max(math.sqrt(done) * px_per_mm, 1.0)
-        ):
-            name, total = f"_before_{len(found)}", done + (step_px / px_per_mm) ** 2
+    for level, variance in enumerate(np.minimum(scene.levels.variances_mm2, even_mm2)):
+        while math.sqrt(variance - done) > (step_mm := _widest_step_mm(scene, done, pixel_mm)):
+            name, total = f"_before_{len(found)}", done + step_mm**2
             found.append(Blur(source, f"{name}_horizontal", name, total, done))
             source, done = name, total
         between = "diffuse_horizontal" if level == last else f"_horizontal_{level}"
         found.append(Blur(source, between, f"gaussian_{level}", variance, done))
         source, done = f"gaussian_{level}", variance
     return found
+
+
+def _widest_step_mm(scene: Scene, done_mm2: float, pixel_mm: float) -> float:
+    """Sigma of the widest Gaussian that may blur what has this variance already.
+
+    Beyond an outline there is no light that an earlier level could have blurred: taps as far apart
+    as inside the subject find one more or one less of it from pixel to pixel, and its copies show.
+    """
+    samples = scene.pipeline.diffusion.samples
+    blurred_mm = max(math.sqrt(done_mm2), pixel_mm)
+    inside = max(samples / GAPLESS_TAPS, LEAST_STEP)
+    beside = min(max(samples / OUTLINE_TAPS, LEAST_OUTLINE_STEP), MOST_OUTLINE_STEP)
+    return max(min(inside * blurred_mm, OUTLINE_SHARE * scene.radius_mm), beside * blurred_mm)
 
 
 def passes(scene: Scene) -> list[Pass]:

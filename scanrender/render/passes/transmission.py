@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -17,9 +18,9 @@ from scanrender.render.passes.visibility import MAX_PENUMBRA
 from scanrender.render.scene import Scene, Shot
 
 # Taps that average T(d), a pixel, lamp and supersample.
-TAPS = 8
+TAPS, MOST_TAPS = 8, 32
+TAPS_BLUR_MM = 1.5  # up to which so few do
 TABLE_SIZE = 1024
-RESOLVED_TEXELS = 2.0
 OPAQUE_BELOW = 1e-4
 SURFACE = ("position", "normal_geometry", "albedo", "skin")
 
@@ -99,27 +100,29 @@ def _lamp_uniforms(
     scene: Scene, lamp: Lamp, shot: Shot, inputs: Mapping[str, moderngl.Texture]
 ) -> dict[str, Any]:
     shadow_map = inputs[f"shadow_{lamp.index}"] if lamp.settings.shadow else scene.white
-    uniforms = shadow_uniforms(lamp, shot, shadow_map)
     return {
-        **uniforms,
-        "bias_mm": bias_mm(scene, uniforms["texel_mm"]),
+        **shadow_uniforms(lamp, shot, shadow_map),
         "has_shadow": lamp.settings.shadow,
         "far_mm": 2.0 * scene.radius_mm,
     }
 
 
-def bias_mm(scene: Scene, texel_mm: float) -> float:
-    """Thinner skin is the lit face itself: a coarse map does not tell the two apart, and where it
-    was asked to, its texels showed as noise along the terminator."""
-    return max(scene.pipeline.skin.transmission.bias_mm, RESOLVED_TEXELS * texel_mm)
+def blur_mm(scene: Scene) -> float:
+    return min(scene.pipeline.skin.transmission.blur_mm, MAX_PENUMBRA * scene.radius_mm)
+
+
+def tap_count(scene: Scene) -> int:
+    """As many to a millimetre of a wide average as to one of the default, within bounds."""
+    return min(max(TAPS, math.ceil(TAPS * blur_mm(scene) / TAPS_BLUR_MM)), MOST_TAPS)
 
 
 def _material(scene: Scene) -> dict[str, Any]:
     transmission = scene.pipeline.skin.transmission
     return {
-        "blur_mm": min(transmission.blur_mm, MAX_PENUMBRA * scene.radius_mm),
+        "least_bias_mm": transmission.bias_mm,
+        "blur_mm": blur_mm(scene),
         "wrap": transmission.wrap,
         "use_skin": scene.uses_skin_map,
-        "tap_count": TAPS,
+        "tap_count": tap_count(scene),
         "width_by_curvature": width_by_curvature(scene),
     }

@@ -4,7 +4,8 @@
 // Jimenez et al. 2010, with T(d) = sum w exp(-d^2 / 2v): their exp(-d^2 / v) is the wrong plane
 // integral (0.305 for 0.406 in red at 1 mm). T is averaged over the taps, not d: mean T(d) != T(mean
 // d). d is clamped with max(0, .), never abs(), which would turn acne into glow.
-// Light below `bias_mm` of skin is the lit face itself, which irradiance already holds.
+// Light below a bias of skin is the lit face itself, which irradiance already holds. Where the light
+// grazes, texels of a coarse map do not tell the two apart: asked to, they showed as noise.
 // BAKED: d is the asset's thickness along the normal; light enters where that comes out behind, unless
 // something hides that point. CURVATURE: T is scaled by curvature, a mistake that figure 9 shows.
 // Check alone: thickness_mm is small at ears only; transmission is black on the lit side.
@@ -17,14 +18,14 @@ uniform sampler2D albedo;
 uniform sampler2D skin;
 uniform sampler2D transmittance_table;  // T over sqrt(d / opaque_mm), from the profile's closed form
 uniform float opaque_mm;       // T is nothing beyond this
-uniform float bias_mm;         // mm, the receiver is moved this far along -N
+uniform float least_bias_mm;   // mm, the receiver is moved this far along -N, or more
 uniform float blur_mm;         // mm, radius of the average in the light's view
 uniform float texel_mm;
 uniform float wrap;            // light enters past the terminator: 0 physical
 uniform float far_mm;          // thickness where the light never entered
 uniform bool use_skin;
 uniform int tap_count;
-uniform vec2 spiral;
+uniform float turn;
 #ifdef BAKED
 uniform sampler2D baked;       // g: mm
 uniform bool has_shadow;
@@ -54,17 +55,24 @@ vec3 crossing(vec3 p, vec3 n, vec3 l, ivec2 here) {
     LightPoint back = light_point(p - n * d, n);
     if (!back.in_map) return t;  // nothing tells what stands before it
     // The back leans and bends: the map's d does not lead to it exactly.
-    float slack = max(bias_mm, 0.5 * d) + texel_mm;
+    float slack = max(least_bias_mm, 0.5 * d) + texel_mm;
     float seen = 0.0;
+    vec2 own = spiral_here(turn);
     for (int i = 0; i < tap_count; ++i) {
-        vec2 offset = disk_point(i, tap_count, spiral) * max(blur_mm, texel_mm);
+        vec2 offset = disk_point(i, tap_count, own) * max(blur_mm, texel_mm);
         float first = first_depth(back, offset);
         seen += first < plane_depth(back, offset) - slack ? 0.0 : 1.0;
     }
     return t * seen / float(tap_count);
 }
 #else
+// Two texels on a slope, none where the light falls straight.
+float bias_of(LightPoint p) {
+    return max(least_bias_mm, 2.0 * texel_mm * min(dot(p.slope, p.slope), 1.0));
+}
+
 vec3 crossing(vec3 p, vec3 n, vec3 l, ivec2 here) {
+    float bias_mm = bias_of(light_point(p, n));
     LightPoint inside = light_point(p - n * bias_mm, n);
     if (!inside.in_map) return vec3(0.0);  // no map tells how thick it is there
 
@@ -74,8 +82,9 @@ vec3 crossing(vec3 p, vec3 n, vec3 l, ivec2 here) {
     vec3 t = vec3(0.0);
     float thickness = 0.0;
     float paths = 0.0;
+    vec2 own = spiral_here(turn);
     for (int i = 0; i < tap_count; ++i) {
-        vec2 offset = disk_point(i, tap_count, spiral) * max(blur_mm, texel_mm);
+        vec2 offset = disk_point(i, tap_count, own) * max(blur_mm, texel_mm);
         float entry = first_depth(inside, offset);
         // Away from the light, a tap that enters deeper than the point itself (or nowhere) tells of
         // no path through skin: it counts as thick. On the lit side it is the lit face, 0 thick.

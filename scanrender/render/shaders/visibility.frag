@@ -20,7 +20,7 @@ uniform float reach_mm;     // mm, widest penumbra that is looked for
 uniform float texel_mm;     // mm, one shadow map texel at the subject's centre
 uniform int taps;
 uniform int search_taps;
-uniform vec2 spiral;        // radians and hand, differ per supersample: their average is finer
+uniform float turn;         // radians, differs per supersample so that their average is finer
 
 layout(location = 0) out float visibility;
 
@@ -61,9 +61,10 @@ float search(LightPoint p) {
     float widest = clamp(penumbra_mm(p.depth_mm, 0.0), texel_mm, reach_mm);
     float sum = 0.0;
     float count = 0.0;
+    vec2 own = spiral_here(turn);
     for (int i = 0; i < search_taps; ++i) {
         // Denser toward the middle (as 1/r), where the low blockers of a contact are.
-        vec2 offset = disk_point(i, search_taps, spiral);
+        vec2 offset = disk_point(i, search_taps, own);
         offset *= widest * length(offset);
         float first = first_depth(p, offset);
         if (is_blocked(p, offset, first, 1.0)) {
@@ -104,8 +105,9 @@ void main() {
     radius_mm = clamp(penumbra, radius_mm, max(reach_mm, radius_mm));
 #endif
     float sum = 0.0;
+    vec2 own = spiral_here(turn);
     for (int i = 0; i < taps; ++i) {
-        vec2 offset = on_surface(lit, disk_point(i, taps, spiral) * radius_mm);
+        vec2 offset = on_surface(lit, disk_point(i, taps, own) * radius_mm);
         float first = first_depth(lit, offset);
         sum += is_blocked(lit, offset, first, 0.5) ? 0.0 : 1.0;
     }
