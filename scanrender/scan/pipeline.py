@@ -9,11 +9,12 @@ What runs below the main line runs beside it: the upper line waits for children 
 from __future__ import annotations
 
 import hashlib
+import importlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from threading import Event
+from threading import Event, Thread
 from typing import Any
 
 import numpy as np
@@ -79,12 +80,16 @@ def prepare_here(
     """
     journal = Journal(progress)
     health, source = _health(path, scan, prep), Aside(lambda: _source(path))
+    # While the file is read; it has to end before the next copy of this process is made.
+    library = Thread(target=importlib.import_module, args=("scipy.spatial",))
+    library.start()
     with journal.stage("ingest") as notes:
         raw = read_scan(path, scan)
         notes.update(notes=list(raw.notes), color=raw.color_source)
         mask = read_skin_mask(path, raw, prep.skin.mask) if prep.skin.mask is not None else None
         journal.warnings += raw.notes
         raw = raw.in_order_of_use()
+        library.join()
     size = {"vertices": len(raw.positions), "triangles": len(raw.faces)}
     with started_early(_early_tasks(raw, as_is), copied=True):
         with journal.stage("clean") as notes:

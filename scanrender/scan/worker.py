@@ -103,7 +103,7 @@ TASKS: dict[str, Task] = {
 LIBRARIES = {
     "prepare": ("scanrender.scan.pipeline",),
     "simplify": ("scanrender.scan.collapse", "fast_simplification", "igl"),
-    "charts": ("scanrender.scan.unwrap_charts", "igl"),
+    "charts": ("scanrender.scan.unwrap_charts", "scipy.cluster.vq", "igl"),
 }
 
 
