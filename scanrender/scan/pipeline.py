@@ -62,6 +62,7 @@ LOOSE_SHARE = 0.1  # pieces to a triangle
 HEALTH_MAX_BYTES = 250_000_000
 # Above it the collapse and the raw surface take turns: at 20 M each needs some 9 GB.
 BESIDE_MAX_FACES = 8_000_000
+KEEP_MAX_FACES = 2_000_000  # half a gigabyte to a million
 
 
 def prepare_here(
@@ -72,11 +73,14 @@ def prepare_here(
     progress: Progress | None = None,
     as_is: bool = False,
     views: Path | None = None,
+    keep: list[Any] | None = None,
 ) -> Asset:
     """Prepare one scan in this process; `prepare.prepare` is the safe way to call it.
 
-    With a full report, the arrays of `views.make_views` are written to `views` (.npz). Raises
-    UsageError, ConfigError, ScanError, StageError.
+    With a full report, the arrays of `views.make_views` are written to `views` (.npz). A raw
+    surface that is not too large is left in `keep`: to take it apart, tree and all, takes a third
+    of a second, which a process that ends soon can spare. Raises UsageError, ConfigError,
+    ScanError, StageError.
     """
     journal = Journal(progress)
     health, source = _health(path, scan, prep), Aside(lambda: _source(path))
@@ -102,6 +106,8 @@ def prepare_here(
             journal.warnings += cleaned.frame.warnings
         raw = raw.without_geometry()
         high, low, shape, lost = _shapes(cleaned, prep, journal, as_is)
+    if keep is not None and len(high.surface.faces) <= KEEP_MAX_FACES:
+        keep.append(high)
     lods, levels = _levels_of_detail(high, low, prep, journal)
     maps, more = _baked(raw, high, low, shape, mask, prep, journal, views)
     lost.update(more)
