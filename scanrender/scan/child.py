@@ -38,11 +38,12 @@ Expected: TypeAlias = Mapping[str, int]
 Progress = Callable[[str, float], None]
 # glibc: temporary arrays up to 32 MiB come from memory that was used before, without a page fault
 # for each 4 KiB, a sixth of the time of cleaning; at most 256 MiB of it is kept. What is new comes
-# in pages of 2 MiB where the system has them, a tenth of the time of the collapse.
+# in pages of 4 KiB. Those of 2 MiB make the collapse a tenth faster, but a virtual machine gives
+# its free ones back to the host, and waits for each: 400 MiB took 1.4 s, where small ones take 0.3.
 _DEFAULTS = {
     "MALLOC_MMAP_THRESHOLD_": str(32 << 20),
     "MALLOC_TRIM_THRESHOLD_": str(256 << 20),
-    "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1",
+    "NUMPY_MADVISE_HUGEPAGE": "0",
     # The work is shared among processes: threads of BLAS' own wait beside them in busy loops.
     "OPENBLAS_NUM_THREADS": "1",
 }

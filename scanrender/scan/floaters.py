@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from scanrender.scan.surface import Surface
 from scanrender.scan.topology import components, face_areas
@@ -50,6 +49,8 @@ def _gaps(
 ) -> npt.NDArray[np.float64]:
     """(k,) the least distance of each doubtful piece from the subject, by vertices and the middles
     of faces."""
+    from scipy.spatial import cKDTree
+
     centre = surface.positions[surface.faces].mean(axis=1)
     of_subject = subject[piece]
     tree = cKDTree(

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from scanrender.scan.collapse import collapsed
 from scanrender.scan.flatten import signed_areas
@@ -135,6 +134,8 @@ def _origins(
     The collapse keeps the order of vertices and does not touch borders; so where the two sides of a
     seam lie at one place, they come in the order in which they went in.
     """
+    from scipy.spatial import cKDTree
+
     span = float(np.linalg.norm(np.ptp(points, axis=0)))
     distance, nearest = cKDTree(border).query(points)
     mine = np.flatnonzero(distance < SAME * span)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse import csgraph
-from scipy.spatial import cKDTree
 
 from scanrender.scan.holes import least_area
 from scanrender.scan.orient import orient
@@ -27,6 +26,9 @@ from scanrender.scan.topology import (
     unit,
 )
 from scanrender.scan.weld import drop_degenerate, drop_duplicates
+
+if TYPE_CHECKING:  # the preparation loads it beside reading the scan
+    from scipy.spatial import cKDTree
 
 Array = npt.NDArray[Any]
 
@@ -217,6 +219,8 @@ class Reference:
     @cached_property
     def _border_tree(self) -> cKDTree | None:
         """The raw surface's boundary vertices."""
+        from scipy.spatial import cKDTree
+
         edges = edges_of(self.raw.faces)
         border = np.unique(edges.pairs[edges.count == 1])
         return cKDTree(self.raw.positions[border]) if len(border) else None
@@ -248,6 +252,8 @@ class Reference:
 
     def _lost_pieces(self, simple: Surface) -> int:
         """Pieces of the raw surface, crumbs aside, near which nothing is left."""
+        from scipy.spatial import cKDTree
+
         raw, away = self.raw, self.distances(simple)
         if away.max() <= OUTLIER * np.median(away):
             return 0  # each piece has samples
@@ -291,6 +297,8 @@ class Reference:
 
     def _normals(self, count: int) -> tuple[cKDTree, Array]:
         """Evenly chosen raw faces: a tree of their centres, and their unit normals."""
+        from scipy.spatial import cKDTree
+
         raw = self.raw
         some = raw.faces[:: max(1, len(raw.faces) // (NORMALS_PER_FACE * count))]
         normal = unit(area_normals(raw.positions, some))

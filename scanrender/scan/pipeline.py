@@ -9,11 +9,12 @@ What runs below the main line runs beside it: the upper line waits for children 
 from __future__ import annotations
 
 import hashlib
+import importlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from threading import Event
+from threading import Event, Thread
 from typing import Any
 
 import numpy as np
@@ -61,6 +62,7 @@ LOOSE_SHARE = 0.1  # pieces to a triangle
 HEALTH_MAX_BYTES = 250_000_000
 # Above it the collapse and the raw surface take turns: at 20 M each needs some 9 GB.
 BESIDE_MAX_FACES = 8_000_000
+KEEP_MAX_FACES = 2_000_000  # half a gigabyte to a million
 
 
 def prepare_here(
@@ -71,20 +73,27 @@ def prepare_here(
     progress: Progress | None = None,
     as_is: bool = False,
     views: Path | None = None,
+    keep: list[Any] | None = None,
 ) -> Asset:
     """Prepare one scan in this process; `prepare.prepare` is the safe way to call it.
 
-    With a full report, the arrays of `views.make_views` are written to `views` (.npz). Raises
-    UsageError, ConfigError, ScanError, StageError.
+    With a full report, the arrays of `views.make_views` are written to `views` (.npz). A raw
+    surface that is not too large is left in `keep`: to take it apart, tree and all, takes a third
+    of a second, which a process that ends soon can spare. Raises UsageError, ConfigError,
+    ScanError, StageError.
     """
     journal = Journal(progress)
     health, source = _health(path, scan, prep), Aside(lambda: _source(path))
+    # While the file is read; it has to end before the next copy of this process is made.
+    library = Thread(target=importlib.import_module, args=("scipy.spatial",))
+    library.start()
     with journal.stage("ingest") as notes:
         raw = read_scan(path, scan)
         notes.update(notes=list(raw.notes), color=raw.color_source)
         mask = read_skin_mask(path, raw, prep.skin.mask) if prep.skin.mask is not None else None
         journal.warnings += raw.notes
         raw = raw.in_order_of_use()
+        library.join()
     size = {"vertices": len(raw.positions), "triangles": len(raw.faces)}
     with started_early(_early_tasks(raw, as_is), copied=True):
         with journal.stage("clean") as notes:
@@ -97,6 +106,8 @@ def prepare_here(
             journal.warnings += cleaned.frame.warnings
         raw = raw.without_geometry()
         high, low, shape, lost = _shapes(cleaned, prep, journal, as_is)
+    if keep is not None and len(high.surface.faces) <= KEEP_MAX_FACES:
+        keep.append(high)
     lods, levels = _levels_of_detail(high, low, prep, journal)
     maps, more = _baked(raw, high, low, shape, mask, prep, journal, views)
     lost.update(more)

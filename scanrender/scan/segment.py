@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
-from scipy.cluster.vq import kmeans2
 from scipy.sparse import csgraph
 
 from scanrender.scan.topology import (
@@ -40,6 +39,8 @@ def segment(
 
     `whole` (m,) marks faces that shall be one piece, without a cut through them.
     """
+    from scipy.cluster.vq import kmeans2
+
     first, second, _ = face_pairs(faces)
     count = len(faces)
     area = face_areas(positions, faces)

@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse import csgraph
-from scipy.spatial import cKDTree
 
 from scanrender.scan.rasterize import Texels
 from scanrender.scan.topology import lengths
@@ -115,6 +114,8 @@ def _seam_pairs(
     texels: Texels, pairs: Array, positions: Array, normals: Array, texel_mm: float
 ) -> npt.NDArray[np.int64]:
     """Pairs of border nodes that are far in the map and near on the surface."""
+    from scipy.spatial import cKDTree
+
     degree = np.bincount(pairs.reshape(-1), minlength=len(texels.index))
     border = np.flatnonzero(degree < 4)
     if len(border) < 2:

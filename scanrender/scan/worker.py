@@ -26,6 +26,7 @@ from scanrender.scan.memory import OUT_OF_MEMORY, limit_memory
 
 Table = dict[str, Any]
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_kept: list[Any] = []  # until this process ends
 # (arrays, parameters) -> (arrays, report)
 Task = Callable[[Table, Table], tuple[Table, Table]]
 
@@ -103,7 +104,7 @@ TASKS: dict[str, Task] = {
 LIBRARIES = {
     "prepare": ("scanrender.scan.pipeline",),
     "simplify": ("scanrender.scan.collapse", "fast_simplification", "igl"),
-    "charts": ("scanrender.scan.unwrap_charts", "igl"),
+    "charts": ("scanrender.scan.unwrap_charts", "scipy.cluster.vq", "igl"),
 }
 
 
@@ -227,6 +228,7 @@ def _prepare(folder: Path, protocol: Any, current: list[str]) -> None:
         progress=progress,
         as_is=job["as_is"],
         views=folder / "views.npz",
+        keep=_kept,
     )
     progress("save", 0.97)
     save_asset(asset, Path(job["asset"]))
