@@ -172,7 +172,7 @@ def transmittance_step(scene: Scene, shot: Shot, b: Buffers) -> Array | None:
     blur = max(blur_mm(scene), texel)
 
     def passes(thick: Array) -> Array:
-        t = np.clip((thick - bias) / max(bias, 1e-300), 0.0, 1.0)
+        t = np.clip((thick - bias) / np.maximum(bias, 1e-300), 0.0, 1.0)
         fades = np.where(thick >= opaque_mm, 0.0, t * t * (3.0 - 2.0 * t))
         at = np.sqrt(np.minimum(thick / opaque_mm, 1.0))
         through = [np.interp(at, root, table[:, c]) for c in range(3)]

@@ -136,7 +136,8 @@ class DiffusionSettings(Section):
     )
     samples: int = setting(
         17,
-        "Taps a direction, per Gaussian or for the separable kernel; any number.",
+        "Taps a direction, per Gaussian or for the separable kernel; any number. Gaussians wider "
+        "than a tenth of the subject have 15 at least.",
         unit="taps",
         ge=3,
         le=255,

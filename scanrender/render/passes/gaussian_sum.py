@@ -34,10 +34,9 @@ REACH_SIGMA = 3.0
 # than LEAST_STEP.
 GAPLESS_TAPS = 5.0
 LEAST_STEP = 1.8
-# The same where the Gaussian is so wide, in shares of the subject's bounding radius, that its taps
-# also have to find the outlines: three times as close, and never as wide as above.
-OUTLINE_SHARE = 0.1
-OUTLINE_TAPS, LEAST_OUTLINE_STEP, MOST_OUTLINE_STEP = 15.0, 0.4, 1.0
+# From this share of the subject's bounding radius on, a Gaussian's taps also have to find outlines:
+# three times as close, whatever the user allows. With fewer taps, more steps would take longer.
+OUTLINE_SHARE, OUTLINE_TAPS, OUTLINE_STEP = 0.1, 15, 1.0
 # From so many radii on a Gaussian weighs all of the subject alike, within 1 %.
 EVEN_SHARE, LEAST_FACTOR = 8.0, 0.02
 DIRECT = "diffusion_input"
@@ -82,7 +81,11 @@ class Blur:
     def uniforms(self, scene: Scene, shot: Shot, direction: tuple[int, int]) -> dict[str, Any]:
         is_direct = self.is_direct(scene, shot)
         done = 0.0 if is_direct else self.before_mm2
-        return level_uniforms(scene, shot, direction, self.variance_mm2 - done, is_direct)
+        samples = scene.pipeline.diffusion.samples
+        if math.sqrt(self.variance_mm2) > OUTLINE_SHARE * scene.radius_mm:
+            samples = max(samples, OUTLINE_TAPS)
+        added = self.variance_mm2 - done
+        return level_uniforms(scene, shot, direction, added, is_direct, samples)
 
 
 def blurs(scene: Scene) -> list[Blur]:
@@ -115,11 +118,10 @@ def _widest_step_mm(scene: Scene, done_mm2: float, pixel_mm: float) -> float:
     Beyond an outline there is no light that an earlier level could have blurred: taps as far apart
     as inside the subject find one more or one less of it from pixel to pixel, and its copies show.
     """
-    samples = scene.pipeline.diffusion.samples
     blurred_mm = max(math.sqrt(done_mm2), pixel_mm)
-    inside = max(samples / GAPLESS_TAPS, LEAST_STEP)
-    beside = min(max(samples / OUTLINE_TAPS, LEAST_OUTLINE_STEP), MOST_OUTLINE_STEP)
-    return max(min(inside * blurred_mm, OUTLINE_SHARE * scene.radius_mm), beside * blurred_mm)
+    inside = max(scene.pipeline.diffusion.samples / GAPLESS_TAPS, LEAST_STEP)
+    narrow_mm = min(inside * blurred_mm, OUTLINE_SHARE * scene.radius_mm)
+    return max(narrow_mm, OUTLINE_STEP * blurred_mm)
 
 
 def passes(scene: Scene) -> list[Pass]:
@@ -178,13 +180,17 @@ def _widest_px(scene: Scene, shot: Shot, sigma_mm: float) -> float:
 
 
 def level_uniforms(
-    scene: Scene, shot: Shot, direction: tuple[int, int], variance_mm2: float, is_direct: bool
+    scene: Scene,
+    shot: Shot,
+    direction: tuple[int, int],
+    variance_mm2: float,
+    is_direct: bool,
+    samples: int,
 ) -> dict[str, Any]:
     """Taps that add a variance along `direction`.
 
     A direct level turns samples into what the pixel's footprint sees; the others blur a level.
     """
-    samples = scene.pipeline.diffusion.samples
     sigma_mm = math.sqrt(variance_mm2)
     widest_px = _widest_px(scene, shot, sigma_mm)
     radius, narrow_px = narrow_taps(samples)

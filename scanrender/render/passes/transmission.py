@@ -19,7 +19,9 @@ from scanrender.render.scene import Scene, Shot
 
 # Taps that average T(d), a pixel, lamp and supersample.
 TAPS, MOST_TAPS = 8, 32
-TAPS_BLUR_MM = 1.5  # up to which so few do
+# An average over more than this share of the bounding radius, 2 mm of a head and shoulders, meets
+# a shape that bends: it needs more of them.
+TAPS_SHARE = 0.012
 TABLE_SIZE = 1024
 OPAQUE_BELOW = 1e-4
 SURFACE = ("position", "normal_geometry", "albedo", "skin")
@@ -112,8 +114,9 @@ def blur_mm(scene: Scene) -> float:
 
 
 def tap_count(scene: Scene) -> int:
-    """As many to a millimetre of a wide average as to one of the default, within bounds."""
-    return min(max(TAPS, math.ceil(TAPS * blur_mm(scene) / TAPS_BLUR_MM)), MOST_TAPS)
+    """In proportion to the width of the average, within bounds."""
+    share = blur_mm(scene) / (TAPS_SHARE * scene.radius_mm)
+    return min(max(TAPS, math.ceil(TAPS * share)), MOST_TAPS)
 
 
 def _material(scene: Scene) -> dict[str, Any]:
