@@ -60,8 +60,12 @@ def disk_point(i: int, count: int, spiral: tuple[Array | float, Array | float]) 
     return np.asarray(radius * np.stack([hand * np.cos(angle), np.sin(angle)], axis=-1))
 
 
-def spirals_of(pixels: tuple[int, ...], turn: float) -> tuple[Array, Array]:
+def spirals_of(
+    pixels: tuple[int, ...], turn: float, is_shared: bool
+) -> tuple[Array | float, Array | float]:
     """`spiral_here` of every pixel, rows bottom-up."""
+    if not is_shared:
+        return turn, 1.0
     y, x = np.indices(pixels) & 1
     return turn + ROW_TURN_RAD * y, 1.0 - 2.0 * x
 
@@ -131,7 +135,7 @@ def visibility_step(scene: Scene, shot: Shot, b: Buffers, lamp: Lamp) -> Array |
     squared = np.sum(lit.slope**2, axis=-1)
     narrower = 1.0 - 1.0 / np.sqrt(1.0 + squared)
     seen, unsure = np.zeros_like(share), np.zeros(share.shape, dtype=bool)
-    own = spirals_of(share.shape, u["turn"])
+    own = spirals_of(share.shape, u["turn"], u["shares_taps"])
     for i in range(DISK_TAPS):
         way = disk_point(i, DISK_TAPS, own) * max(blur, texel)
         along = np.sum(way * lit.slope, axis=-1) / np.maximum(squared, 1e-12) * narrower
@@ -182,7 +186,7 @@ def transmittance_step(scene: Scene, shot: Shot, b: Buffers) -> Array | None:
     rounding_mm = 4.0 * float(np.spacing(np.float32(np.abs(p).max())))
     total, unsure = np.zeros(p.shape), np.zeros(facing.shape, dtype=bool)
     moved = np.zeros(facing.shape)
-    own, taps = spirals_of(facing.shape, u["turn"]), tap_count(scene)
+    own, taps = spirals_of(facing.shape, u["turn"], u["shares_taps"]), tap_count(scene)
     for i in range(taps):
         way = disk_point(i, taps, own) * blur
         entry, offset, border = _first_depth(inside, way, shadow)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import moderngl
@@ -155,7 +155,8 @@ class Renderer:
         if halved:
             camera, guard_px = camera.halved(), (guard_px + 1) // 2
         turn = view.subject_deg
-        return self.scene.shot(camera, turn, guard_px, jitter_px, sample, footprint_px)
+        shot = self.scene.shot(camera, turn, guard_px, jitter_px, sample, footprint_px)
+        return replace(shot, is_halved=halved)
 
     def _camera(self) -> Camera:
         return self._camera_of(self.pipeline)

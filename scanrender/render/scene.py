@@ -43,7 +43,8 @@ class Shot:
     `size` is (width, height) in px with the guard band; `scissor` the (x, y, w, h) in GL's
     bottom-up pixels that the subject can touch; `near_mm` and `far_mm` the least and greatest
     depth it can have. `sample` numbers the supersample, whose place in the pixel is `jitter_px`
-    (right, down); it stands for `footprint_px` of the pixel along each side.
+    (right, down); it stands for `footprint_px` of the pixel along each side. `is_halved`: of the
+    picture of half the size, whose light scatters for all samples.
     """
 
     size: tuple[int, int]
@@ -58,6 +59,7 @@ class Shot:
     guard_px: int
     jitter_px: tuple[float, float] = (0.0, 0.0)
     footprint_px: float = 1.0
+    is_halved: bool = False
 
     @property
     def picture_scissor(self) -> tuple[int, int, int, int]:

@@ -16,7 +16,7 @@ DIRECTIONS = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
 
 def taps(samples: int, pixels: tuple[int, int] = (1, 1)) -> Array:
     """(n, 2): of all pixels and samples together."""
-    spirals = [spirals_of(pixels, turn_rad(s)) for s in range(samples)]
+    spirals = [spirals_of(pixels, turn_rad(s), pixels != (1, 1)) for s in range(samples)]
     found = [disk_point(i, DISK_TAPS, own) for own in spirals for i in range(DISK_TAPS)]
     return np.concatenate(found).reshape(-1, 2)
 

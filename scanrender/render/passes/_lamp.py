@@ -44,6 +44,9 @@ def shadow_uniforms(lamp: Lamp, shot: Shot, shadow_map: moderngl.Texture) -> dic
         "light_front_mm": lamp.distance_mm - lamp.near_mm,
         "texel_mm": lamp.width_mm / shadow_map.size[0],
         "turn": turn_rad(shot.sample),
+        # A picture of half the size is alone and diffused: there is no other sample to average. At
+        # full size such a pattern stands still while the subject turns, and flickers.
+        "shares_taps": shot.is_halved,
     }
 
 

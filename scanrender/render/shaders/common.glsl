@@ -14,9 +14,10 @@ vec2 disk_point(int i, int n, vec2 spiral) {
     return radius * vec2(spiral.y * cos(angle), sin(angle));
 }
 
-// This pixel's own spiral: mirrored from column to column, turned from row to row. What diffuses
-// averages four pixels' taps, and a picture of an even width has the mirrored ones when mirrored.
-vec2 spiral_here(float turn) {
+// This pixel's spiral. Where four pixels share their taps it is mirrored from column to column and
+// turned from row to row: diffusion averages them, and a mirrored picture has the mirrored ones.
+vec2 spiral_here(float turn, bool is_shared) {
+    if (!is_shared) return vec2(turn, 1.0);
     ivec2 odd = ivec2(gl_FragCoord.xy) & 1;
     return vec2(turn + ROW_TURN * float(odd.y), odd.x == 0 ? 1.0 : -1.0);
 }

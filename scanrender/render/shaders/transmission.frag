@@ -26,6 +26,7 @@ uniform float far_mm;          // thickness where the light never entered
 uniform bool use_skin;
 uniform int tap_count;
 uniform float turn;
+uniform bool shares_taps;
 #ifdef BAKED
 uniform sampler2D baked;       // g: mm
 uniform bool has_shadow;
@@ -57,7 +58,7 @@ vec3 crossing(vec3 p, vec3 n, vec3 l, ivec2 here) {
     // The back leans and bends: the map's d does not lead to it exactly.
     float slack = max(least_bias_mm, 0.5 * d) + texel_mm;
     float seen = 0.0;
-    vec2 own = spiral_here(turn);
+    vec2 own = spiral_here(turn, shares_taps);
     for (int i = 0; i < tap_count; ++i) {
         vec2 offset = disk_point(i, tap_count, own) * max(blur_mm, texel_mm);
         float first = first_depth(back, offset);
@@ -82,7 +83,7 @@ vec3 crossing(vec3 p, vec3 n, vec3 l, ivec2 here) {
     vec3 t = vec3(0.0);
     float thickness = 0.0;
     float paths = 0.0;
-    vec2 own = spiral_here(turn);
+    vec2 own = spiral_here(turn, shares_taps);
     for (int i = 0; i < tap_count; ++i) {
         vec2 offset = disk_point(i, tap_count, own) * max(blur_mm, texel_mm);
         float entry = first_depth(inside, offset);

@@ -21,6 +21,7 @@ uniform float texel_mm;     // mm, one shadow map texel at the subject's centre
 uniform int taps;
 uniform int search_taps;
 uniform float turn;         // radians, differs per supersample so that their average is finer
+uniform bool shares_taps;   // with its neighbours: light that scatters in a picture of half the size
 
 layout(location = 0) out float visibility;
 
@@ -61,7 +62,7 @@ float search(LightPoint p) {
     float widest = clamp(penumbra_mm(p.depth_mm, 0.0), texel_mm, reach_mm);
     float sum = 0.0;
     float count = 0.0;
-    vec2 own = spiral_here(turn);
+    vec2 own = spiral_here(turn, shares_taps);
     for (int i = 0; i < search_taps; ++i) {
         // Denser toward the middle (as 1/r), where the low blockers of a contact are.
         vec2 offset = disk_point(i, search_taps, own);
@@ -105,7 +106,7 @@ void main() {
     radius_mm = clamp(penumbra, radius_mm, max(reach_mm, radius_mm));
 #endif
     float sum = 0.0;
-    vec2 own = spiral_here(turn);
+    vec2 own = spiral_here(turn, shares_taps);
     for (int i = 0; i < taps; ++i) {
         vec2 offset = on_surface(lit, disk_point(i, taps, own) * radius_mm);
         float first = first_depth(lit, offset);
