@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -121,3 +124,19 @@ def test_json_refuses_what_json_cannot_say(tmp_path: Path):
         write_json(tmp_path / "a.json", {"mean": float("nan")})
     assert names_in(tmp_path) == set()
     assert write_json(tmp_path / "a.json", {"ü": 1}).read_text(encoding="utf-8").endswith("\n")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_what_a_killed_process_left_goes_before_anybody_asked_how_it_ended(tmp_path: Path):
+    """Orphans of a killed batch wait for the system's first process, which may take its time."""
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    while Path(f"/proc/{ended.pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z":
+        time.sleep(0.01)
+    own = files.temporary_name("sheet.png")
+    left = tmp_path / own.replace(f"-{os.getpid()}-", f"-{ended.pid}-")
+    left.touch()
+    (tmp_path / own).touch()
+    files.clean_stale(tmp_path)
+    ended.wait()
+    assert not left.exists()
+    assert (tmp_path / own).exists(), "its process lives"
