@@ -37,7 +37,7 @@ LEAST_STEP = 1.8
 # From this share of the subject's bounding radius on, a Gaussian's taps also have to find outlines:
 # three times as close, whatever the user allows. With fewer taps, more steps would take longer.
 OUTLINE_SHARE, OUTLINE_TAPS, OUTLINE_STEP = 0.1, 15, 1.0
-# From so many radii on a Gaussian weighs all of the subject alike, within 1 %.
+# From so many radii on a Gaussian weighs all of the subject alike: its edges by 3 % less across it.
 EVEN_SHARE, LEAST_FACTOR = 8.0, 0.02
 DIRECT = "diffusion_input"
 # Whole-pixel taps up to this sigma, at any number of samples up to the lesser one.
