@@ -85,6 +85,10 @@ class Device:
         texture.repeat_x = texture.repeat_y = False
         return texture
 
+    def let_go(self) -> None:
+        """Delete the GL objects that nothing refers to any more: a turntable makes thousands."""
+        self.context.gc()
+
     def finish(self) -> None:
         self.context.finish()
 
@@ -130,8 +134,9 @@ def device() -> Device:
         except Exception as error:  # noqa: BLE001  glcontext raises bare Exceptions
             problems.append(str(error))
             continue
-        # Objects must die with their last Python reference: a turntable makes thousands.
-        context.gc_mode = "auto"
+        # What Python lets go of waits for `let_go`: in "auto" it is deleted by whichever thread
+        # collects garbage, and where that has no context GL ignores it and the memory is lost.
+        context.gc_mode = "context_gc"
         return Device(context)
     raise DeviceError(f"no usable OpenGL: {problems[0]}", fix=_NO_GL)
 

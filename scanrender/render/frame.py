@@ -50,6 +50,7 @@ class Renderer:
     ) -> None:
         """`like` is a renderer of the same asset, whose device memory serves this one too."""
         self.device = device
+        device.let_go()  # the maps of the renderer before this one take as much as its own will
         _check_size(pipeline, device.most_px)
         self.pipeline, self.decisions = plan(pipeline, asset.maps)
         scattering = scattering_of(self.pipeline)

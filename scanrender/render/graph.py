@@ -194,6 +194,7 @@ class Graph:
                 dtype = "f4" if buffer.exact else self._dtype
                 live[buffer.name] = pool.take(buffer.size or shot.size, buffer.components, dtype)
             self._draw(device, pool, shot, step, [live[b.name] for b in writes], live, where)
+            device.let_go()
             if self._check is not None:
                 self._check(step, shot, [live[b.name] for b in step.writes])
             if timings is not None:

@@ -70,7 +70,18 @@ def one(browser: Browser, selector: str) -> Any:
 
 
 def open_scan(browser: Browser, label: str) -> None:
-    one(browser, f'a.open[aria-label="Open {label}"]').click()
+    from selenium.common.exceptions import ElementClickInterceptedException
+
+    def is_clicked() -> bool:
+        # A page whose pictures are still coming moves between the look at where a card is and the
+        # click there: as people do, try again.
+        try:
+            one(browser, f'a.open[aria-label="Open {label}"]').click()
+        except ElementClickInterceptedException:
+            return False
+        return True
+
+    wait(browser, is_clicked)
     wait(browser, lambda: all_of(browser, ".stage"))
     assert one(browser, "h1").text == label
 

@@ -1,0 +1,48 @@
+"""What the process's one GL context does with what nobody needs any more."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import threading
+
+import pytest
+from render.synthetic import pipeline, sphere
+
+from scanrender.render.device import Device
+from scanrender.render.frame import Renderer
+
+SMALL = {"camera": {"width_px": 16, "height_px": 16}, "quality": {"supersampling": 1}}
+
+
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_what_garbage_collection_finds_is_deleted_whichever_thread_it_ran_in(
+    gl: Device, elsewhere: bool
+):
+    """A thread that writes files has no GL context, and GL ignores what it asks to delete."""
+    library = ctypes.CDLL("libGL.so.1")
+    texture = gl.context.texture((4, 4), 4)
+    name = texture.glo
+    gl.finish()
+    assert library.glIsTexture(name)
+    ring = [texture]
+    ring.append(ring)  # type: ignore[arg-type]
+    del ring, texture
+    if elsewhere:
+        thread = threading.Thread(target=gc.collect)
+        thread.start()
+        thread.join()
+    else:
+        gc.collect()
+    assert len(gl.context.objects) > 0
+    gl.let_go()
+    assert not library.glIsTexture(name)
+
+
+def test_a_picture_leaves_nothing_that_waits_to_be_deleted(gl: Device):
+    for _ in range(2):
+        renderer = Renderer(gl, sphere(100.0, rings=8), pipeline(SMALL))
+        renderer.render(renderer.view(0))
+        gc.collect()
+    renderer.render(renderer.view(0))
+    assert not gl.context.objects
