@@ -239,7 +239,7 @@ def lab_step(scene: Scene, shot: Shot, b: Buffers) -> Array:
 
 def disk_step(scene: Scene, shot: Shot, b: Buffers, ray: tuple[float, ...]) -> Array | None:
     """scattered of the disk: the profile itself, not the table of its logarithm."""
-    from scanrender.render.passes.disk import INNER_PX, _table
+    from scanrender.render.passes.disk import INNER_PX, _table, tap_count
 
     diffusion = scene.pipeline.diffusion
     plain = diffusion.limit == "none" and not diffusion.jitter and diffusion.normalize == "visible"
@@ -247,7 +247,7 @@ def disk_step(scene: Scene, shot: Shot, b: Buffers, ray: tuple[float, ...]) -> A
     if diffusion.method != "disk" or shot.is_orthographic or bends or not plain:
         return None
     inner_mm = INNER_PX / shot.px_per_mm(shot.working_distance_mm)
-    disk = disk_taps(scene.scattering, diffusion.disk_taps, inner_mm)
+    disk = disk_taps(scene.scattering, tap_count(scene.pipeline, shot), inner_mm)
     table = _table(disk)
     z, light = b["depth_mm"][:, :, 0], b["diffusion_input"]
     height, width = z.shape
@@ -264,7 +264,7 @@ def disk_step(scene: Scene, shot: Shot, b: Buffers, ray: tuple[float, ...]) -> A
     total = disk.centre * light[:, :, :3]
     weights = disk.centre * light[:, :, 3:]
     unsure = np.zeros(z.shape, dtype=bool)
-    for i in range(diffusion.disk_taps):
+    for i in range(len(disk.radius_mm)):
         radius, (c, s, right, up) = disk.radius_mm[i], table[1, i]
         on_plane = point + radius * (c * t + s * bit)
         xy = on_plane[..., :2] / np.maximum(-on_plane[..., 2:], 1e-6)

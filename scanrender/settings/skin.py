@@ -150,7 +150,9 @@ class DiffusionSettings(Section):
         ge=1,
         le=255,
     )
-    disk_taps: int = setting(64, "Taps of `disk`, in all.", unit="taps", ge=4, le=1023)
+    disk_taps: int = setting(
+        64, "Taps of `disk`, for each sample that scatters.", unit="taps", ge=4, le=1023
+    )
     normalize: Literal["visible", "none"] = setting(
         "visible",
         "For `disk`: the mean over what the picture shows of the surface, or the plain sum, which "
