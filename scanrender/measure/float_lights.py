@@ -247,7 +247,7 @@ def disk_step(scene: Scene, shot: Shot, b: Buffers, ray: tuple[float, ...]) -> A
     if diffusion.method != "disk" or shot.is_orthographic or bends or not plain:
         return None
     inner_mm = INNER_PX / shot.px_per_mm(shot.working_distance_mm)
-    disk = disk_taps(scene.scattering, tap_count(scene.pipeline, shot), inner_mm)
+    disk = disk_taps(scene.scattering, tap_count(scene, shot), inner_mm)
     table = _table(disk)
     z, light = b["depth_mm"][:, :, 0], b["diffusion_input"]
     height, width = z.shape

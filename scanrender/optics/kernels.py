@@ -234,11 +234,17 @@ def tap_positions(samples: int, extent_mm: float, spacing: Spacing) -> tuple[Arr
     return offsets, 0.5 * (offsets[1:] + offsets[:-1])
 
 
-def disk_taps(profile: DiffusionProfile, n: int, inner_radius_mm: float = 0.0) -> DiskTaps:
+def disk_taps(
+    profile: DiffusionProfile,
+    n: int,
+    inner_radius_mm: float = 0.0,
+    outer_radius_mm: float = math.inf,
+) -> DiskTaps:
     """Return ``n`` (1 to 1023) golden-angle taps, each for a ring that holds 1/n of the mean of the
-    channels' energy outside ``inner_radius_mm``.
+    channels' energy between ``inner_radius_mm`` and ``outer_radius_mm``.
 
-    What lies inside belongs to the pixel itself, and needs no tap. Drawn from the widest channel
+    What lies inside belongs to the pixel itself, and needs no tap; what lies outside is left out of
+    the weights, for a subject that is not as large. Drawn from the widest channel
     alone, a narrow one meets a few taps by chance; of the mean each channel has its share of them.
     A tap's weights are exact ring integrals and it stands at the ring's root mean square radius, so
     that a constant stays constant and the variance is that of the profile. Raises ConfigError for n
@@ -248,12 +254,16 @@ def disk_taps(profile: DiffusionProfile, n: int, inner_radius_mm: float = 0.0) -
     reach = float(profile.radius_for(1.0 - 1e-6).max())
     inner = float(np.clip(inner_radius_mm, 0.0, reach))
     # Finer where the narrow channels are: their rings are micrometres wide.
-    r = inner + (1.5 * reach - inner) * np.linspace(0.0, 1.0, _RING_STEPS) ** 3
+    is_cut = outer_radius_mm < 1.5 * reach
+    end = max(outer_radius_mm, 2.0 * inner) if is_cut else 1.5 * reach
+    r = inner + (end - inner) * np.linspace(0.0, 1.0, _RING_STEPS) ** 3
     mean = profile.cdf(r).mean(axis=1)
-    shares = mean[0] + (1.0 - mean[0]) * np.arange(1, n) / n
+    whole = mean[-1] if is_cut else 1.0
+    shares = mean[0] + (whole - mean[0]) * np.arange(1, n) / n
     borders = np.interp(shares, mean, r)
     within = profile.cdf(np.concatenate([[inner], borders]))
-    weights = np.diff(np.concatenate([within, np.ones((1, 3))]), axis=0)
+    last = profile.cdf(np.array([end])) if is_cut else np.ones((1, 3))
+    weights = np.diff(np.concatenate([within, last]), axis=0)
     middle = 0.5 * (r[1:] + r[:-1])
     ring = np.searchsorted(borders, middle)
     mass = np.diff(mean)

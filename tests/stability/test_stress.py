@@ -81,6 +81,12 @@ FOUND: list[tuple[str, dict[str, Any]]] = [
     # One sample's 64 taps of the disk were all that scattered, and wind one way: 0.883.
     ("mirror", {"fov_deg": 90.029, "method": "disk", "normalize": "none", "resolution": "half",
                 "size_mm": 78.69}),
+    # A plain sum of the disk, whose taps met a subject smaller than the profile by chance: 13, 1.8.
+    ("mirror", {"method": "disk", "normalize": "none", "size_mm": 0.001748}),
+    ("resolution", {"method": "disk", "normalize": "none", "mask": "none", "size_mm": 0.04674}),
+    ("mirror", {"method": "disk", "normalize": "none", "size_mm": 4.0}),
+    # Noise of single texels on a face seen edge on, which 64 samples sample too coarsely: 0.82.
+    ("mirror", {"shape": "box", "maps": "nan"}),
 ]  # fmt: skip
 
 

@@ -7,7 +7,7 @@
 //   dA(q) / dA(plane)  (z_q / z)^2 |n_p.w| / |n_q.w|: what the pixel shows of surface and of plane
 // (DESIGN 4; engines omit the second: 1.38 : 1 along and across a slope of 75 degrees.)
 // Taps begin all over the pixel, whose mean the light is, not at its centre.
-// At grazing angles the plane is turned to the eye as far as MIN_COSINE says: edge on it has no taps.
+// At grazing angles the plane is turned to the eye as far as least_cosine says: edge on it has no taps.
 // Normalized by what was met, or not (MISSING_MASS). Check alone: constants stay constant; no ghosts
 // of hard edges from 64 taps on.
 #define WEIGHT vec3
@@ -18,9 +18,8 @@ uniform int tap_count;
 uniform vec3 centre_weight;      // RGB, of the pixel itself: the profile's energy within it
 uniform sampler2D profile;       // ln R(r) over u = sqrt(r / reach)
 uniform float profile_reach_mm;
+uniform float least_cosine;      // of the plane's normal to the eye
 uniform float turn;              // of the whole disk, radians: each supersample has its own taps
-
-const float MIN_COSINE = 0.2;
 
 vec3 log_profile(float r_mm) {
     float texels = float(textureSize(profile, 0).x);
@@ -43,11 +42,11 @@ void main() {
     vec3 eye = -normalize(centre_ray);
     vec3 n = texelFetch(normal_geometry, here, 0).xyz;
     float facing = dot(n, eye);
-    if (facing < MIN_COSINE) {
+    if (facing < least_cosine) {
         vec3 side = n - facing * eye;
         float across = length(side);
         side = across > 1e-6 ? side / across : vec3(0.0);
-        n = MIN_COSINE * eye + sqrt(1.0 - MIN_COSINE * MIN_COSINE) * side;
+        n = least_cosine * eye + sqrt(1.0 - least_cosine * least_cosine) * side;
         n = normalize(n);
     }
     vec3 t = normalize(abs(n.z) < 0.9 ? cross(n, vec3(0, 0, 1)) : cross(n, vec3(1, 0, 0)));
