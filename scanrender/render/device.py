@@ -87,7 +87,12 @@ class Device:
 
     def let_go(self) -> None:
         """Delete the GL objects that nothing refers to any more: a turntable makes thousands."""
-        self.context.gc()
+        waiting = self.context.objects
+        while waiting:
+            # Not `context.gc()`: it fails on what has been released by name (moderngl 5.13).
+            release = getattr(waiting.popleft(), "release", None)
+            if release is not None:
+                release()
 
     def finish(self) -> None:
         self.context.finish()

@@ -46,3 +46,11 @@ def test_a_picture_leaves_nothing_that_waits_to_be_deleted(gl: Device):
         gc.collect()
     renderer.render(renderer.view(0))
     assert not gl.context.objects
+
+
+def test_what_was_released_by_name_is_not_released_again(gl: Device):
+    texture = gl.context.texture((1, 1), 1)
+    texture.release()
+    del texture
+    gl.let_go()
+    assert not gl.context.objects
