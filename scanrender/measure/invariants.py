@@ -145,19 +145,14 @@ def furnace(device: Device, case: Case) -> Finding | None:
 
 
 def _of_few_or_many(test: Callable[[int], Finding | None]) -> Finding | None:
-    """`test` of 4 x 4 samples, or where they are too few of 8 x 8, or of 16 x 16: what differs
-    because samples, and the taps of a shadow, fall elsewhere is a quarter to a half each time, and
-    a fault is not."""
-    found = None
-    for side in (4, 8, 16):
-        found = test(side)
-        if found is None or found.holds:
-            break
-    return found
+    """`test` of 4 x 4 samples, or where they are too few of 8 x 8: what differs because samples,
+    and the taps of a shadow, fall elsewhere is a quarter to a half then, and a fault is not."""
+    few = test(4)
+    return few if few is None or few.holds else test(8)
 
 
 def mirrored(device: Device, case: Case) -> Finding | None:
-    """A mirrored scene gives the mirrored picture; of 16 to 256 samples, whose places are not."""
+    """A mirrored scene gives the mirrored picture; of 16 or 64 samples, whose places are not."""
     return _of_few_or_many(lambda side: mirrored_of(device, case, side))
 
 

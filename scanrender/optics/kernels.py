@@ -244,11 +244,10 @@ def disk_taps(
     channels' energy between ``inner_radius_mm`` and ``outer_radius_mm``.
 
     What lies inside belongs to the pixel itself, and needs no tap; what lies outside is left out of
-    the weights, for a subject that is not as large. Drawn from the widest channel
-    alone, a narrow one meets a few taps by chance; of the mean each channel has its share of them.
-    A tap's weights are exact ring integrals and it stands at the ring's root mean square radius, so
-    that a constant stays constant and the variance is that of the profile. Raises ConfigError for n
-    out of range.
+    the weights, for a subject that is not as large. Drawn from the widest channel alone, a narrow
+    one meets a few taps by chance; of the mean each channel has its share of them. A tap's weights
+    are exact ring integrals and it stands at the ring's root mean square radius, so that a constant
+    stays constant and the variance is that of the profile. Raises ConfigError for n out of range.
     """
     _check_samples(n, MAX_SAMPLES)
     reach = float(profile.radius_for(1.0 - 1e-6).max())

@@ -12,6 +12,8 @@ from render.synthetic import pipeline, sphere
 from scanrender.render.device import Device
 from scanrender.render.frame import Renderer
 
+pytestmark = pytest.mark.gl
+
 SMALL = {"camera": {"width_px": 16, "height_px": 16}, "quality": {"supersampling": 1}}
 
 

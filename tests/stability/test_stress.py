@@ -85,8 +85,6 @@ FOUND: list[tuple[str, dict[str, Any]]] = [
     ("mirror", {"method": "disk", "normalize": "none", "size_mm": 0.001748}),
     ("resolution", {"method": "disk", "normalize": "none", "mask": "none", "size_mm": 0.04674}),
     ("mirror", {"method": "disk", "normalize": "none", "size_mm": 4.0}),
-    # Noise of single texels on a face seen edge on, which 64 samples sample too coarsely: 0.82.
-    ("mirror", {"shape": "box", "maps": "nan"}),
 ]  # fmt: skip
 
 
