@@ -156,6 +156,16 @@ def test_samples_are_spread_and_centred(side: int):
     assert len(cells) == side * side, "one in each cell of the grid"
 
 
+@pytest.mark.parametrize("side", [2, 4, 8, 16])
+def test_boxes_of_every_shape_hold_one_sample(side: int):
+    """A texel of a surface seen nearly edge on is as wide as a pixel, and a part of one high."""
+    count = side * side
+    offsets = np.array(sample_offsets_px(side))
+    for columns in 2 ** np.arange(count.bit_length()):
+        boxes = np.floor((offsets + 0.5) * [columns, count // columns])
+        assert len(np.unique(boxes, axis=0)) == count, f"{columns} x {count // columns}"
+
+
 @pytest.mark.gl
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
 def test_a_window_is_a_crop_of_the_picture(gl: Device, projection: str):

@@ -85,6 +85,9 @@ FOUND: list[tuple[str, dict[str, Any]]] = [
     ("mirror", {"method": "disk", "normalize": "none", "size_mm": 0.001748}),
     ("resolution", {"method": "disk", "normalize": "none", "mask": "none", "size_mm": 0.04674}),
     ("mirror", {"method": "disk", "normalize": "none", "size_mm": 4.0}),
+    # Texels as wide as a pixel and a sixth of one high: rows of samples sheared alike, 0.82, 0.96.
+    ("mirror", {"maps": "nan", "shape": "box"}),
+    ("mirror", {"maps": "noisy", "shape": "box"}),
 ]  # fmt: skip
 
 
