@@ -302,7 +302,7 @@ def finer_of(device: Device, case: Case, side: int) -> Finding | None:
     small, large = sorted((camera.width_px, camera.height_px))
     # Half the resolution for diffusion is a trade for speed, and finer where the picture is.
     halved = case.pipeline().diffusion.resolution == "half"
-    if case.shape in AMBIGUOUS or small < 24 or large > 64 or halved:
+    if case.shape in AMBIGUOUS or small < 24 or large > 64 or halved or _bends_by_pixel(case):
         return None
     size = {"width_px": 2 * camera.width_px, "height_px": 2 * camera.height_px}
     one = _beauty(device, case.asset(), case.pipeline(_sampled(side)))
@@ -312,6 +312,14 @@ def finer_of(device: Device, case: Case, side: int) -> Finding | None:
         return None  # nothing that is as wide as a pixel
     box = big.reshape(camera.height_px, 2, camera.width_px, 2, 4).mean(axis=(1, 3))
     return Finding("resolution", float(apart(case, one, box).mean()), 0.7, "dE2000, mean")
+
+
+def _bends_by_pixel(case: Case) -> bool:
+    """Whether scattering follows the curvature, on the screen, of normals that are noise: they turn
+    within a pixel or two, and what their differences are depends on where the pixels lie."""
+    curvature = case.pipeline().curvature
+    follows = curvature.modulation != "none" and curvature.source == "screen"
+    return follows and case.shape == "random_normals"
 
 
 def _sampled(side: int) -> Data:

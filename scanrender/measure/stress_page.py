@@ -28,6 +28,8 @@ LIMITS = """## What is not compared, and why
   equation 8; `cbf_normalized` has no unit), and of modulated curvature: beyond 2 1/mm, half a
   millimetre of radius, it is cut off, and that is a length.
 - `resolution` of `diffusion.resolution: half`, which is a trade of resolution for time.
+- `resolution` of curvature on the screen of normals that are noise: they turn within a pixel or
+  two, and their differences are those of the pixels.
 
 Where a kernel outgrows the subject (`skin.scale` from 30 on a head, a head of two millimetres), the
 separable kernels and the disk hand over to the sum of Gaussians, and say so (decision 29).

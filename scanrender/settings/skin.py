@@ -69,7 +69,12 @@ class TransmissionSettings(Section):
         le=20,
     )
     blur_mm: float = setting(
-        1.5, "Radius over which T(d) is averaged in the light's view.", unit="mm", ge=0, le=20
+        1.5,
+        "Radius over which T(d) is averaged in the light's view; at most twice the standard "
+        "deviation of the profile's widest Gaussian.",
+        unit="mm",
+        ge=0,
+        le=20,
     )
 
 
@@ -182,10 +187,11 @@ class DiffusionSettings(Section):
     edge_contrast: float = setting(
         3.0,
         "c of the cross bilateral filters: a tap counts exp(-c |E_p - E_q|), with E albedo times "
-        "a ratio of cosines. A huge one stops leaks by stopping scattering.",
+        "a ratio of cosines. A huge one stops leaks by stopping scattering; beyond the largest it "
+        "would tell roundings apart.",
         unit="1",
         ge=0,
-        le=1e6,
+        le=1e4,
     )
     limit: Literal["none", "lab"] = setting(
         "none",

@@ -88,6 +88,15 @@ FOUND: list[tuple[str, dict[str, Any]]] = [
     # Texels as wide as a pixel and a sixth of one high: rows of samples sheared alike, 0.82, 0.96.
     ("mirror", {"maps": "nan", "shape": "box"}),
     ("mirror", {"maps": "noisy", "shape": "box"}),
+    # Each of 64 samples was read finer than the way to the next, as one alone has to be: 0.57.
+    ("mirror", {"maps": "noisy", "shape": "uv_outside"}),
+    # A lamp near the skin, and T(d) averaged four times as far as light scatters: 1.51.
+    ("mirror", {"blur_mm": 20.0, "irradiance": 824100.0, "profile": 28.71,
+                "lamp": {"type": "point", "azimuth_deg": -100.0, "distance_mm": 130.0,
+                         "radius_mm": 5.0}}),
+    # A guide of so much contrast that it told roundings apart: 1.1 with 1e6.
+    ("mirror", {"edge_contrast": 1e4, "halo": "cbf_normalized", "resolution": "half",
+                "size_mm": 0.1984}),
 ]  # fmt: skip
 
 

@@ -25,6 +25,15 @@ WRITES = (
 )
 
 
+def lod_bias(footprint_px: float) -> float:
+    """Mip levels to add to GL's, for a sample that stands for this much of the pixel's side.
+
+    Of more than 2 x 2 samples each is less sharp, down to its own footprint: their mean loses no
+    detail by it, and detail finer than the way between samples would be noise.
+    """
+    return SHARPER * min(1.0, 2.0 * footprint_px) + math.log2(footprint_px)
+
+
 def passes(scene: Scene) -> list[Pass]:
     def draw(
         shot: Shot, inputs: Mapping[str, moderngl.Texture], target: moderngl.Framebuffer
@@ -44,7 +53,7 @@ def passes(scene: Scene) -> list[Pass]:
                 "normal_map": maps["normal_ts"],
                 "ao_map": maps["ao"],
                 "skin_map": maps["skin"],
-                "lod_bias": SHARPER + math.log2(shot.footprint_px),
+                "lod_bias": lod_bias(shot.footprint_px),
                 "inside_albedo": scene.pipeline.view.inside_albedo,
             },
         )

@@ -18,10 +18,11 @@ from scanrender.render.passes.visibility import MAX_PENUMBRA
 from scanrender.render.scene import Scene, Shot
 
 # Taps that average T(d), a pixel, lamp and supersample.
-TAPS, MOST_TAPS = 8, 32
+TAPS, MOST_TAPS = 8, 64
 # An average over more than this share of the bounding radius, 2 mm of a head and shoulders, meets
 # a shape that bends: it needs more of them.
 TAPS_SHARE = 0.012
+REACH_SIGMAS = 2.0  # of the profile's widest Gaussian
 TABLE_SIZE = 1024
 OPAQUE_BELOW = 1e-4
 SURFACE = ("position", "normal_geometry", "albedo", "skin")
@@ -110,7 +111,11 @@ def _lamp_uniforms(
 
 
 def blur_mm(scene: Scene) -> float:
-    return min(scene.pipeline.skin.transmission.blur_mm, MAX_PENUMBRA * scene.radius_mm)
+    """No further than light scatters: an average over more is of ways that it does not take, and
+    most of its taps find no light at all, so that the few that do are noise."""
+    asked = scene.pipeline.skin.transmission.blur_mm
+    scattered = REACH_SIGMAS * math.sqrt(scene.profile.variances_mm2[-1])
+    return min(asked, scattered, MAX_PENUMBRA * scene.radius_mm)
 
 
 def tap_count(scene: Scene) -> int:
