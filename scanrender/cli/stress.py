@@ -96,12 +96,12 @@ def command(
 
 def _again(case: Path) -> None:
     from scanrender.errors import StageError
-    from scanrender.measure.invariants import Finding, examine
-    from scanrender.measure.stress import in_words, load_case
+    from scanrender.measure.invariants import Finding
+    from scanrender.measure.stress import in_words, load_case, outcome_of
     from scanrender.render.device import device
 
     scene, invariant = load_case(case)
-    outcome = examine(device(), scene, invariant)
+    outcome = outcome_of(device(), scene, invariant)
     if isinstance(outcome, Finding):
         click.echo(in_words(outcome))
         if not outcome.holds:

@@ -112,21 +112,21 @@ def walk(device: Device, name: str) -> list[tuple[Any, list[Examined]]]:
     for value in _axis(name).walk:
         case = case_of({name: value})
         names = ["sound"] if name in LARGE_AXES else list(INVARIANTS)
-        outcomes = ((case, _outcome(device, case, invariant)) for invariant in names)
+        outcomes = ((case, outcome_of(device, case, invariant)) for invariant in names)
         found.append((value, [Examined(c, o) for c, o in outcomes if o is not None]))
     return found
 
 
 def examine_scene(device: Device, case: Case, number: int) -> list[Examined]:
     """Soundness, and if the scene can be rendered, some of the other invariants."""
-    first = _outcome(device, case, "sound")
+    first = outcome_of(device, case, "sound")
     assert first is not None
     found = [Examined(case, first)]
     if isinstance(first, Refusal) or not first.holds:
         return found
     others = [name for name in INVARIANTS if name != "sound"]
     for step in range(OTHERS_A_CASE):
-        outcome = _outcome(device, case, others[(OTHERS_A_CASE * number + step) % len(others)])
+        outcome = outcome_of(device, case, others[(OTHERS_A_CASE * number + step) % len(others)])
         if outcome is not None:
             found.append(Examined(case, outcome))
     return found
@@ -134,11 +134,11 @@ def examine_scene(device: Device, case: Case, number: int) -> list[Examined]:
 
 def shrink(device: Device, case: Case, invariant: str) -> tuple[Case, Finding]:
     """The case with as few axes moved as still break `invariant`."""
-    finding = _outcome(device, case, invariant)
+    finding = outcome_of(device, case, invariant)
     assert isinstance(finding, Finding)
     for name in case.axes:
         simpler = case.without(name)
-        outcome = _outcome(device, simpler, invariant)
+        outcome = outcome_of(device, simpler, invariant)
         if isinstance(outcome, Finding) and not outcome.holds:
             case, finding = simpler, outcome
     return case, finding
@@ -181,7 +181,8 @@ def _axis(name: str) -> Any:
     return AXES[name] if name in AXES else SUBJECT[name]
 
 
-def _outcome(device: Device, case: Case, invariant: str) -> Finding | Refusal | None:
+def outcome_of(device: Device, case: Case, invariant: str) -> Finding | Refusal | None:
+    """Of settings that are out of bounds: that they are refused, and why."""
     try:
         case.pipeline()
     except ValidationError as error:

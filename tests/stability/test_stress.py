@@ -94,6 +94,9 @@ FOUND: list[tuple[str, dict[str, Any]]] = [
     ("mirror", {"blur_mm": 20.0, "irradiance": 824100.0, "profile": 28.71,
                 "lamp": {"type": "point", "azimuth_deg": -100.0, "distance_mm": 130.0,
                          "radius_mm": 5.0}}),
+    ("mirror", {"blur_mm": 20.0, "irradiance": 824100.0, "profile": 28.71, "strength": 10.0,
+                "lamp": {"type": "point", "azimuth_deg": -100.0, "distance_mm": 130.0,
+                         "radius_mm": 5.0}}),
     # A guide of so much contrast that it told roundings apart: 1.1 with 1e6.
     ("mirror", {"edge_contrast": 1e4, "halo": "cbf_normalized", "resolution": "half",
                 "size_mm": 0.1984}),
@@ -184,6 +187,12 @@ def test_the_command(cli, tmp_path: Path):
     page = (tmp_path / "out" / "stability.md").read_text()
     for word in ("| `f0` | 0 to 1 | all |", "| furnace |", "## Random scenes", "## Half floats"):
         assert word in page
+
+
+def test_a_case_that_is_out_of_bounds_by_now_is_refused(cli, tmp_path: Path):
+    file = tmp_path / "scene.yaml"
+    file.write_text("{axes: {edge_contrast: 1000000.0}, invariant: mirror}", encoding="utf-8")
+    assert "refused: diffusion.edge_contrast" in cli("stress", "--again", file).stdout
 
 
 def test_the_command_fails_where_something_is_broken_and_examines_it_again(cli, tmp_path: Path):

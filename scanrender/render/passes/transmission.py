@@ -18,7 +18,7 @@ from scanrender.render.passes.visibility import MAX_PENUMBRA
 from scanrender.render.scene import Scene, Shot
 
 # Taps that average T(d), a pixel, lamp and supersample.
-TAPS, MOST_TAPS = 8, 64
+TAPS, MOST_TAPS = 8, 128
 # An average over more than this share of the bounding radius, 2 mm of a head and shoulders, meets
 # a shape that bends: it needs more of them.
 TAPS_SHARE = 0.012
