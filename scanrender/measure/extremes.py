@@ -197,7 +197,7 @@ AXES: Mapping[str, Axis] = {
                            "separable_artistic", "disk"), _set("diffusion", "method")),
     "halo": Axis(_one_of("none", "depth", "cbf", "cbf_normalized", "measure"),
                  _set("diffusion", "halo")),
-    "edge_contrast": Axis(_one_of(0.0, 1.0, 100.0, 1e4), _set("diffusion", "edge_contrast")),
+    "edge_contrast": Axis(_one_of(0.0, 1.0, 100.0, 1e6), _set("diffusion", "edge_contrast")),
     "samples": Axis(_one_of(3, 4, 5, 9, 17, 64, 255), _set("diffusion", "samples"), "taps",
                     (3, 4, 9, 64, 255)),
     "disk_taps": Axis(_whole(4, 1023), _set("diffusion", "disk_taps"), "taps"),

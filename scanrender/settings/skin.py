@@ -8,6 +8,9 @@ from pydantic import Field, model_validator
 
 from scanrender.settings.base import Rgb, Section, setting
 
+# Roundings of a guide of about 1 show beyond it: dE2000 0.05 between mirrored pictures, and in
+# proportion. `cbf`, whose guide grows with the distance, is a thousandth of that and less up close.
+MOST_CONTRAST = 1e4
 # What the optics of the lobes is made and checked for.
 Slope = Annotated[float, Field(ge=0.01, le=1)]
 Length = Annotated[float, Field(ge=1e-4, le=1e3)]
@@ -187,11 +190,11 @@ class DiffusionSettings(Section):
     edge_contrast: float = setting(
         3.0,
         "c of the cross bilateral filters: a tap counts exp(-c |E_p - E_q|), with E albedo times "
-        "a ratio of cosines. A huge one stops leaks by stopping scattering; beyond the largest it "
-        "would tell roundings apart.",
+        "a ratio of cosines. A huge one stops leaks by stopping scattering; `cbf_normalized` takes "
+        "at most 1e4, beyond which it tells roundings apart.",
         unit="1",
         ge=0,
-        le=1e4,
+        le=1e6,
     )
     limit: Literal["none", "lab"] = setting(
         "none",
@@ -217,6 +220,15 @@ class DiffusionSettings(Section):
         "`skin` lets only what the asset's skin map calls skin scatter; eyes and brows stay sharp.",
         unit="",
     )
+
+    @model_validator(mode="after")
+    def _contrast_tells_no_roundings_apart(self) -> Self:
+        if self.halo == "cbf_normalized" and self.edge_contrast > MOST_CONTRAST:
+            raise ValueError(
+                f"edge_contrast is at most {MOST_CONTRAST:g} with halo: cbf_normalized, "
+                "beyond which it tells roundings apart"
+            )
+        return self
 
 
 class CurvatureSettings(Section):

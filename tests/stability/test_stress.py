@@ -191,8 +191,11 @@ def test_the_command(cli, tmp_path: Path):
 
 def test_a_case_that_is_out_of_bounds_by_now_is_refused(cli, tmp_path: Path):
     file = tmp_path / "scene.yaml"
-    file.write_text("{axes: {edge_contrast: 1000000.0}, invariant: mirror}", encoding="utf-8")
-    assert "refused: diffusion.edge_contrast" in cli("stress", "--again", file).stdout
+    file.write_text(
+        "{axes: {edge_contrast: 1000000.0, halo: cbf_normalized}, invariant: mirror}",
+        encoding="utf-8",
+    )
+    assert "refused: diffusion: " in cli("stress", "--again", file).stdout
 
 
 def test_the_command_fails_where_something_is_broken_and_examines_it_again(cli, tmp_path: Path):
