@@ -4,7 +4,6 @@ so a real head is subdivided and given pores, and our own phantom is made at any
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -66,11 +65,6 @@ def paged_scan(folder: Path, triangles: int, pages: int, page_px: int) -> Path:
         factor = page_px // small
         images.write_png8(page, pixels.repeat(factor, axis=0).repeat(factor, axis=1))
     return scan
-
-
-def remove_inputs(folder: Path) -> None:
-    """The inputs are large and made anew in a minute."""
-    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _welded(raw: RawMesh, scale: float) -> tuple[Array, Array, Array]:
