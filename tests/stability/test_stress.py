@@ -90,6 +90,8 @@ FOUND: list[tuple[str, dict[str, Any]]] = [
     ("mirror", {"maps": "noisy", "shape": "box"}),
     # Each of 64 samples was read finer than the way to the next, as one alone has to be: 0.57.
     ("mirror", {"maps": "noisy", "shape": "uv_outside"}),
+    # Mip levels from the differences of two pixels, under a wide lens: 0.62.
+    ("mirror", {"fov_deg": 135.7901, "azimuth_deg": 76.8828, "shape": "uv_outside", "maps": "hdr"}),
     # A lamp near the skin, and T(d) averaged four times as far as light scatters: 1.51.
     ("mirror", {"blur_mm": 20.0, "irradiance": 824100.0, "profile": 28.71,
                 "lamp": {"type": "point", "azimuth_deg": -100.0, "distance_mm": 130.0,

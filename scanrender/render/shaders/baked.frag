@@ -2,6 +2,7 @@
 // baked: mesh + data maps -> _baked (r: mean curvature 1/mm; g: thickness mm; a = coverage).
 // Seen through the same camera as gbuffer, for the settings that take these from the asset rather than
 // from the picture. Check alone: `curvature` with source: baked has no lines along silhouettes.
+#include "footprint.glsl"
 #include "linear_depth.glsl"
 in vec3 v_position;
 in vec2 v_uv;
@@ -11,6 +12,8 @@ uniform sampler2D thickness_map;
 layout(location = 0) out vec4 baked;
 
 void main() {
-    baked = vec4(texture(curvature_map, v_uv).r, max(texture(thickness_map, v_uv).r, 0.0), 0.0, 1.0);
+    float curvature = map_at(curvature_map, v_uv, 0.0).r;
+    float thickness_mm = max(map_at(thickness_map, v_uv, 0.0).r, 0.0);
+    baked = vec4(curvature, thickness_mm, 0.0, 1.0);
     write_depth(-v_position.z);
 }

@@ -2,6 +2,7 @@
 // gbuffer: mesh + maps -> position (view, mm; a = coverage), normal_geometry, normal_shading
 // (view, unit), albedo (lin_rec709_scene; a = 1), depth_mm, skin, ao.
 // Check alone: normal_geometry must show no pores, normal_shading must.
+#include "footprint.glsl"
 #include "linear_depth.glsl"
 #include "screen.glsl"
 in vec3 v_position;
@@ -44,16 +45,16 @@ void main() {
 
     // MikkTSpace: the interpolated tangent and sign are used as they are, not re-orthogonalised.
     vec3 bitangent = v_tangent.w * cross(v_normal, v_tangent.xyz);
-    vec3 t = texture(normal_map, v_uv, lod_bias).xyz;
+    vec3 t = map_at(normal_map, v_uv, lod_bias).xyz;
     vec3 shading = safe_unit(t.x * v_tangent.xyz + t.y * bitangent + t.z * v_normal, n);
     if (!gl_FrontFacing) shading = n;
 
     position = vec4(v_position, 1.0);
     normal_geometry = vec4(n, 1.0);
     normal_shading = vec4(shading, 1.0);
-    albedo = vec4(clamp(texture(albedo_map, v_uv, lod_bias).rgb, 0.0, 1.0), 1.0);
-    skin = clamp(texture(skin_map, v_uv, lod_bias).r, 0.0, 1.0);
-    ao = clamp(texture(ao_map, v_uv, lod_bias).r, 0.0, 1.0);
+    albedo = vec4(clamp(map_at(albedo_map, v_uv, lod_bias).rgb, 0.0, 1.0), 1.0);
+    skin = clamp(map_at(skin_map, v_uv, lod_bias).r, 0.0, 1.0);
+    ao = clamp(map_at(ao_map, v_uv, lod_bias).r, 0.0, 1.0);
     depth_mm = -v_position.z;
     write_depth(depth_mm);
     if (!gl_FrontFacing) {
