@@ -161,13 +161,14 @@ def _shapes(
 
     Simplifying and unwrapping run in children; a thread waits for them while this one works.
     """
-    surface, handed_over = cleaned.surface, Event()
+    surface, handed_over, fed = cleaned.surface, Event(), Event()
     with ThreadPoolExecutor(1) as beside:
         simple = beside.submit(_simplified, cleaned, prep, journal, as_is, handed_over.set)
         simple.add_done_callback(lambda _: handed_over.set())
         unwrapped = beside.submit(
-            lambda: _low_mesh(surface, *simple.result(), prep, journal, as_is)
+            lambda: _low_mesh(surface, *simple.result(), prep, journal, as_is, fed.set)
         )
+        unwrapped.add_done_callback(lambda _: fed.set())
         crossing = beside.submit(
             lambda: (
                 count_self_intersections(*simple.result(), MESHLAB_TIMEOUT_S)
@@ -181,10 +182,12 @@ def _shapes(
         handed_over.wait()
         with journal.stage("raw surface"):
             high = make_high(surface, prep.bake)
-            # Needed later, and time now: the collapse still runs beside this. Not so the tree: it
-            # holds the interpreter's lock so long that unwrapping would begin late.
-            high.target.build()
             _ = high.target.face_normals
+        # So would the unwrapping wait for these: two seconds of a million faces.
+        fed.wait()
+        with journal.stage("search trees"):
+            high.target.build()
+            high.target.make_tree()
         positions, faces = simple.result()
         with journal.stage("occlusion, thickness"):
             normals = vertex_normals(positions, faces)
@@ -247,12 +250,13 @@ def _low_mesh(
     prep: PrepSettings,
     journal: Journal,
     as_is: bool,
+    handed_over: Callable[[], None],
 ) -> Low:
     """Unwrap, and give normals and tangents in float32, as the asset will hold them."""
     with journal.stage("unwrap") as notes:
         result = as_is_unwrapped(surface) if as_is else None
         if result is None:
-            result = unwrap(positions, faces, prep.unwrap, prep.bake.albedo_px)
+            result = unwrap(positions, faces, prep.unwrap, prep.bake.albedo_px, handed_over)
         notes.update(result.report)
         normals = vertex_normals(positions, faces)
         split = positions[result.source].astype(np.float32)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -39,11 +40,18 @@ class Unwrapped:
     report: dict[str, Any]
 
 
-def unwrap(positions: Array, faces: Array, settings: UnwrapSettings, size_px: int) -> Unwrapped:
-    """Unwrap (n, 3) mm positions and (m, 3) faces for a map of size_px. Raises StageError."""
+def unwrap(
+    positions: Array,
+    faces: Array,
+    settings: UnwrapSettings,
+    size_px: int,
+    handed_over: Callable[[], None] = lambda: None,
+) -> Unwrapped:
+    """Unwrap (n, 3) mm positions and (m, 3) faces for a map of size_px. `handed_over` is called
+    once the first child has them. Raises StageError."""
     failures: list[str] = []
     rungs: list[tuple[str, Callable[..., Rung]]] = [
-        ("charts", _by_charts),
+        ("charts", partial(_by_charts, handed_over=handed_over)),
         ("xatlas", _by_xatlas),
         ("box", _by_box),
     ]
@@ -64,10 +72,16 @@ def unwrap(positions: Array, faces: Array, settings: UnwrapSettings, size_px: in
     raise StageError(f"no way of unwrapping worked: {'; '.join(failures)}")
 
 
-def _by_charts(positions: Array, faces: Array, settings: UnwrapSettings, size_px: int) -> Rung:
+def _by_charts(
+    positions: Array,
+    faces: Array,
+    settings: UnwrapSettings,
+    size_px: int,
+    handed_over: Callable[[], None],
+) -> Rung:
     arrays = {"positions": positions, "faces": faces}
     padding = settings.padding_px / size_px
-    flat, report = run_task("charts", arrays, {"padding": padding}, settings.timeout_s)
+    flat, report = run_task("charts", arrays, {"padding": padding}, settings.timeout_s, handed_over)
     chart = flat["chart"]
     if "packed" in flat:
         return chart, flat["packed"], {"packer": "bitmap"}

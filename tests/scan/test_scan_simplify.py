@@ -11,6 +11,7 @@ from scan_shapes import cube, sphere
 
 from scanrender.errors import StageError
 from scanrender.phantom import make_head
+from scanrender.scan import collapse
 from scanrender.scan import simplify as module
 from scanrender.scan.child import run_task
 from scanrender.scan.collapse import detail_faces
@@ -74,6 +75,33 @@ def test_nothing_is_touched_where_fewer_would_break_the_bound(ball):
     np.testing.assert_array_equal(positions, ball.positions)
     np.testing.assert_array_equal(faces, ball.faces)
     assert report["method"].startswith("none")
+
+
+def test_halves_fit_and_are_as_near_as_the_whole(head):
+    halves = mended(*collapse.collapsed_in_halves(head, 12_000, 7.0))
+    whole = mended(*collapse.collapsed(head, 12_000, 7.0))
+    assert len(halves.faces) == pytest.approx(12_000, rel=0.1)  # the cut keeps its edges
+    assert len(boundary_loops(halves.faces)) == len(boundary_loops(head.faces))
+    assert components(halves.faces, len(halves.positions))[0] == 1
+    assert (
+        fold_count(halves.positions, halves.faces) <= fold_count(whole.positions, whole.faces) + 2
+    )
+    near, far = (error_mm(head, x.positions, x.faces) for x in (halves, whole))
+    assert near < 1.15 * far
+
+
+def test_halves_that_do_not_fit_are_collapsed_as_a_whole(ball, monkeypatch):
+    def moving(surface, *args, **kwargs):
+        rng = np.random.default_rng(len(surface.faces))
+        moved = surface.positions + rng.normal(0.0, 0.1, surface.positions.shape)
+        return whole(replace(surface, positions=moved), *args, **kwargs)
+
+    whole = collapse.collapsed
+    expected = len(whole(ball, 2000, 7.0)[1])
+    monkeypatch.setattr(collapse, "collapsed", moving)
+    _, faces = collapse.collapsed_in_halves(ball, 2000, 7.0)
+    assert len(faces) == pytest.approx(expected, rel=0.02)
+    assert (edges_of(faces).count == 2).all()
 
 
 def test_flat_faces_cost_nothing():
