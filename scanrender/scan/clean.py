@@ -14,6 +14,7 @@ from scanrender.scan.frame import Frame, find_frame
 from scanrender.scan.holes import fill_holes
 from scanrender.scan.neck import close_neck
 from scanrender.scan.orient import orient
+from scanrender.scan.parallel import Aside
 from scanrender.scan.raw import RawMesh
 from scanrender.scan.repair import drop_extra_faces, split_vertices
 from scanrender.scan.spikes import flatten_spikes
@@ -94,6 +95,8 @@ def clean(raw: RawMesh, scan: ScanSettings, settings: CleanSettings) -> Cleaned:
     steps.apply("drop unused vertices", Surface.compact)
     surface, turned = orient(steps.surface)
     steps.put("orient", surface, **turned)
+    # Whether there are any does not depend on the frame: looked for beside finding that.
+    spiky = Aside(lambda: flatten_spikes(surface, settings.spike_sigma)[1] > 0)
     main = drop_floaters(surface, fraction)
     frame = find_frame(raw, main.positions, main.faces, scan)
     steps.surface = replace(surface, positions=frame.asset_from_raw(surface.positions))
@@ -101,8 +104,12 @@ def clean(raw: RawMesh, scan: ScanSettings, settings: CleanSettings) -> Cleaned:
         "drop floaters",
         lambda s: drop_floaters(s, fraction, settings.floater_distance_mm).compact(),
     )
-    surface, spikes = flatten_spikes(steps.surface, settings.spike_sigma)
-    steps.put("flatten spikes", surface, vertices_moved=spikes)
+    as_it_was, spikes = len(steps.surface.faces) == len(surface.faces), 0
+    if spiky.result() or not as_it_was:
+        surface, spikes = flatten_spikes(steps.surface, settings.spike_sigma)
+        steps.put("flatten spikes", surface, vertices_moved=spikes)
+    else:
+        steps.put("flatten spikes", steps.surface, vertices_moved=0)
     surface, holes = steps.surface, 0
     if settings.hole_mm > 0:
         surface, holes = fill_holes(surface, settings.hole_mm)

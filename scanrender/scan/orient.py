@@ -21,10 +21,10 @@ from scanrender.scan.topology import (
     area_normals,
     components,
     edges_of,
+    extent,
     face_centres,
     face_pairs,
     lengths,
-    span,
     used_vertices,
 )
 
@@ -67,26 +67,32 @@ def _make_consistent(surface: Surface) -> tuple[Surface, int]:
 
 
 def _turn_outward(surface: Surface) -> tuple[Surface, int]:
-    """By the sign of the flux of (x - centre) through each piece, which is 3 volumes if closed."""
+    """By the sign of the flux of (x - centre) through each piece, which is 3 volumes if closed.
+
+    In one pass over the faces: sums about a point that is close to all are taken to each piece's
+    own centre afterwards.
+    """
     count, piece = components(surface.faces, len(surface.positions))
-    total, middle = np.zeros(count), np.zeros((count, 3))
-    for of, _, area, centre in _by_blocks(surface, piece):
+    used = surface.positions[used_vertices(surface.faces, len(surface.positions))]
+    low, high = extent(used)
+    total, flux, square = np.zeros(count), np.zeros(count), np.zeros(count)
+    middle, normal_sum = np.zeros((count, 3)), np.zeros((count, 3))
+    for of, normal, area, centre in _by_blocks(surface, piece):
+        centre -= 0.5 * (low + high)
         total += np.bincount(of, area, minlength=count)
+        flux += np.bincount(of, np.einsum("ij,ij->i", centre, normal), minlength=count)
+        square += np.bincount(of, np.einsum("ij,ij->i", centre, centre) * area, minlength=count)
         for axis in range(3):
             middle[:, axis] += np.bincount(of, area * centre[:, axis], minlength=count)
+            normal_sum[:, axis] += np.bincount(of, normal[:, axis], minlength=count)
     total = np.maximum(total, 1e-300)
     middle /= total[:, None]
-    flux, reach = np.zeros(count), np.zeros(count)
-    for of, normal, area, centre in _by_blocks(surface, piece):
-        centre -= np.take(middle, of, axis=0)
-        flux += np.bincount(of, np.einsum("ij,ij->i", centre, normal), minlength=count)
-        reach += np.bincount(of, lengths(centre) * area, minlength=count)
+    flux -= np.einsum("ij,ij->i", middle, normal_sum)
+    reach = np.sqrt(np.maximum(square / total - np.einsum("ij,ij->i", middle, middle), 0.0))
     # A nearly flat sheet has hardly any flux: its file's orientation is the better evidence.
-    inside_out = flux < -0.05 * reach
-    # A single triangle has none at all: what is left is rounding.
-    used = used_vertices(surface.faces, len(surface.positions))
-    size = float(span(surface.positions[used]).max())
-    inside_out &= reach > 1e-9 * size * total
+    inside_out = flux < -0.05 * reach * total
+    # A single triangle has none at all: what is left is rounding, of the square root's two terms.
+    inside_out &= reach > 1e-7 * float((high - low).max())
     flipped = inside_out[piece]
     if not flipped.any():
         return surface, 0

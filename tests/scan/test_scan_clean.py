@@ -159,6 +159,21 @@ def test_a_spike_is_pulled_back_and_anatomy_is_not():
     assert flatten_spikes(surface(*cube()), 6.0)[1] == 0
 
 
+@pytest.mark.parametrize(("spikes", "crumbs"), [(0, 0), (1, 0), (0, 1), (1, 1)])
+def test_cleaning_pulls_spikes_back_with_and_without_floaters(spikes, crumbs):
+    positions, faces, _ = sphere(100.0, 32, 64)
+    positions = positions.copy()
+    far = np.asarray(cube()[0]) + 500.0
+    positions[900 : 900 + spikes] *= 1.4
+    raw = pieces((positions, faces), *[(far, cube()[1])] * crumbs)
+    cleaned = clean(RawMesh(raw.positions, raw.faces), ScanSettings(units="mm"), CleanSettings())
+    step = next(x for x in cleaned.steps if x["step"] == "flatten spikes")
+    assert step["vertices_moved"] == spikes
+    assert len(cleaned.surface.faces) == len(faces)
+    middle = cleaned.surface.positions.mean(axis=0)
+    assert np.linalg.norm(cleaned.surface.positions - middle, axis=1).max() < 102.0
+
+
 @pytest.mark.parametrize(
     ("size", "settings", "mm", "confidence"),
     [
