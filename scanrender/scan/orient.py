@@ -21,10 +21,10 @@ from scanrender.scan.topology import (
     area_normals,
     components,
     edges_of,
-    extent,
     face_centres,
     face_pairs,
     lengths,
+    span,
     used_vertices,
 )
 
@@ -69,16 +69,17 @@ def _make_consistent(surface: Surface) -> tuple[Surface, int]:
 def _turn_outward(surface: Surface) -> tuple[Surface, int]:
     """By the sign of the flux of (x - centre) through each piece, which is 3 volumes if closed.
 
-    In one pass over the faces: sums about a point that is close to all are taken to each piece's
-    own centre afterwards.
+    In one pass over the faces: sums about one of a piece's own vertices are taken to its centre
+    afterwards. About another point they would cancel, were something else far away.
     """
     count, piece = components(surface.faces, len(surface.positions))
-    used = surface.positions[used_vertices(surface.faces, len(surface.positions))]
-    low, high = extent(used)
+    some_face = np.zeros(count, np.int64)
+    some_face[piece] = np.arange(len(piece))
+    anchor = surface.positions[surface.faces[some_face, 0]]
     total, flux, square = np.zeros(count), np.zeros(count), np.zeros(count)
     middle, normal_sum = np.zeros((count, 3)), np.zeros((count, 3))
     for of, normal, area, centre in _by_blocks(surface, piece):
-        centre -= 0.5 * (low + high)
+        centre -= np.take(anchor, of, axis=0)
         total += np.bincount(of, area, minlength=count)
         flux += np.bincount(of, np.einsum("ij,ij->i", centre, normal), minlength=count)
         square += np.bincount(of, np.einsum("ij,ij->i", centre, centre) * area, minlength=count)
@@ -91,8 +92,9 @@ def _turn_outward(surface: Surface) -> tuple[Surface, int]:
     reach = np.sqrt(np.maximum(square / total - np.einsum("ij,ij->i", middle, middle), 0.0))
     # A nearly flat sheet has hardly any flux: its file's orientation is the better evidence.
     inside_out = flux < -0.05 * reach * total
-    # A single triangle has none at all: what is left is rounding, of the square root's two terms.
-    inside_out &= reach > 1e-7 * float((high - low).max())
+    # A single triangle has none at all: what is left is rounding.
+    used = used_vertices(surface.faces, len(surface.positions))
+    inside_out &= reach > 1e-9 * float(span(surface.positions[used]).max())
     flipped = inside_out[piece]
     if not flipped.any():
         return surface, 0

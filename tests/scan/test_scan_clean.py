@@ -159,6 +159,16 @@ def test_a_spike_is_pulled_back_and_anatomy_is_not():
     assert flatten_spikes(surface(*cube()), 6.0)[1] == 0
 
 
+@pytest.mark.parametrize("away", [1e3, 1e6, 3e8])
+def test_a_ball_is_turned_outward_however_far_something_else_lies(away):
+    positions, faces, _ = sphere(100.0)
+    far = np.asarray(cube()[0]) + 100.0 * away
+    both = pieces((positions, faces[:, ::-1]), (far, cube()[1]))
+    turned, count = orient(both)
+    assert count["turned_inside_out"] == len(faces)
+    np.testing.assert_array_equal(np.sort(turned.faces, 1), np.sort(both.faces, 1))
+
+
 @pytest.mark.parametrize(("spikes", "crumbs"), [(0, 0), (1, 0), (0, 1), (1, 1)])
 def test_cleaning_pulls_spikes_back_with_and_without_floaters(spikes, crumbs):
     positions, faces, _ = sphere(100.0, 32, 64)
