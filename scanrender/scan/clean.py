@@ -104,12 +104,11 @@ def clean(raw: RawMesh, scan: ScanSettings, settings: CleanSettings) -> Cleaned:
         "drop floaters",
         lambda s: drop_floaters(s, fraction, settings.floater_distance_mm).compact(),
     )
-    as_it_was, spikes = len(steps.surface.faces) == len(surface.faces), 0
-    if spiky.result() or not as_it_was:
-        surface, spikes = flatten_spikes(steps.surface, settings.spike_sigma)
-        steps.put("flatten spikes", surface, vertices_moved=spikes)
-    else:
-        steps.put("flatten spikes", steps.surface, vertices_moved=0)
+    may_have_spikes = spiky.result() or len(steps.surface.faces) < len(surface.faces)
+    surface, spikes = steps.surface, 0
+    if may_have_spikes:
+        surface, spikes = flatten_spikes(surface, settings.spike_sigma)
+    steps.put("flatten spikes", surface, vertices_moved=spikes)
     surface, holes = steps.surface, 0
     if settings.hole_mm > 0:
         surface, holes = fill_holes(surface, settings.hole_mm)
