@@ -203,7 +203,6 @@ LINES = (
     ("seconds", "wall clock s"),
     ("cpu_seconds", "processor s"),
     ("peak_tree_mib", "peak of all processes MiB"),
-    ("peak_child_mib", "peak of one process MiB"),
     ("lost.charts", "charts"),
     ("lost.atlas_use", "atlas use"),
     ("lost.flipped_triangles", "flipped triangles"),
@@ -221,4 +220,4 @@ def _sentence(row: Mapping[str, Any]) -> str:
     if "failed" in row:
         return f"{row['case']}: failed"
     memory = row["peak_tree_mib"] or row["peak_child_mib"]
-    return f"{row['case']}: {row['seconds']:.1f} s, {memory} MiB"
+    return f"{row['case']}: {row['seconds']:.1f} s, {memory or 'unknown'} MiB"

@@ -18,34 +18,35 @@ COST = 0.02  # of the time may go into looking, where no interval is asked for
 @dataclass(frozen=True)
 class Usage:
     """seconds: wall clock; cpu_seconds: of the children; peak_tree_mib: this process and all its
-    descendants at one moment, None without /proc; peak_child_mib: the largest single child."""
+    descendants at one moment, None without /proc; peak_child_mib: the largest single child, None
+    where an earlier one of this process was larger: the kernel keeps no more than that."""
 
     seconds: float
     cpu_seconds: float
     peak_tree_mib: int | None
-    peak_child_mib: int
+    peak_child_mib: int | None
 
 
 class Watch:
     """`with Watch() as watch: ...; watch.usage` measures what ran inside.
 
     Memory is the proportional set size, so that pages shared between processes count once. It is
-    sampled: a peak shorter than `interval_s` may be missed, which peak_child_mib (kept by the
-    kernel, over the life of this process) bounds from below. Each sample holds up what it looks at,
-    for as long as it has pages: four a second took 4 % of a preparation's processor time, so the
-    next one waits until they cost COST. A sudden rise is looked at twice: between vfork and exec a
-    child is counted with all of its parent's memory.
+    sampled: a peak shorter than `interval_s` may be missed, which peak_child_mib bounds from below.
+    Each sample holds up what it looks at, for as long as it has pages: four a second took 4 % of a
+    preparation's processor time, so the next one waits until they cost COST. A sudden rise is
+    looked at twice: between vfork and exec a child is counted with all of its parent's memory.
     """
 
     def __init__(self, interval_s: float | None = None) -> None:
         self.interval_s = interval_s
         self.samples: list[tuple[float, int]] = []  # time.perf_counter() and KiB
-        self.usage = Usage(0.0, 0.0, None, 0)
+        self.usage = Usage(0.0, 0.0, None, None)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._poll, daemon=True)
 
     def __enter__(self) -> Watch:
-        self._start, self._cpu = time.perf_counter(), _children()[0]
+        self._start = time.perf_counter()
+        self._cpu, self._largest = _children()
         self._thread.start()
         return self
 
@@ -55,7 +56,8 @@ class Watch:
         self._thread.join()
         cpu, largest = _children()
         peak = self.peak_mib(self._start, self._start + seconds)
-        self.usage = Usage(seconds, cpu - self._cpu, peak, largest)
+        new = largest if largest > self._largest else None
+        self.usage = Usage(seconds, cpu - self._cpu, peak, new)
 
     def peak_mib(self, start: float, stop: float) -> int | None:
         """Peak between two moments of time.perf_counter(); None when nothing was sampled."""
@@ -106,7 +108,7 @@ def _proportional_kib(pid: int) -> int:
 
 
 def _children() -> tuple[float, int]:
-    """Processor seconds of the children that ended, and the largest one's MiB."""
+    """Processor seconds of all children that ever ended, and the largest one's MiB."""
     try:
         import resource
     except ImportError:  # Windows

@@ -61,11 +61,13 @@ def test_memory_of_children_counts():
     with Watch(0.05) as watch:
         subprocess.run([sys.executable, "-c", program], check=True, capture_output=True)
     assert watch.usage.seconds > 1.0
-    assert watch.usage.peak_child_mib > 140
+    # None where a test before this one had a larger child.
+    assert watch.usage.peak_child_mib is None or watch.usage.peak_child_mib > 140
     if watch.usage.peak_tree_mib is not None:
         assert watch.usage.peak_tree_mib > 140
     with Watch(0.05) as idle:
         subprocess.run([sys.executable, "-c", "import time; time.sleep(0.5)"], check=True)
+    assert idle.usage.peak_child_mib is None  # not that of the child before
     if idle.usage.peak_tree_mib is not None:
         assert idle.usage.peak_tree_mib < watch.usage.peak_tree_mib - 100
 
