@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Collection
 from pathlib import Path
 
-from scanrender.asset import Asset, load_asset
+from scanrender.asset import Asset, check_replaceable, load_asset
 from scanrender.errors import ScanError
 from scanrender.files import atomic_folder
 from scanrender.scan.child import child_for
@@ -35,6 +35,7 @@ def prepare(
     Raises UsageError, ConfigError, ScanError, StageError, OutputError.
     """
     path, out = Path(path), Path(out)
+    check_replaceable(out)
     check_header(path)
     with atomic_folder(out) as folder, child_for("prepare", own_group=True) as child:
         inner = folder / "asset"
