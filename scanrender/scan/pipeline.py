@@ -48,7 +48,7 @@ from scanrender.scan.skinmask import SkinMask, read_skin_mask
 from scanrender.scan.surface import Surface
 from scanrender.scan.tangents import vertex_tangents
 from scanrender.scan.topology import components, edges_of, face_areas, vertex_normals
-from scanrender.scan.unwrap import as_is_unwrapped, unwrap
+from scanrender.scan.unwrap import unwrap
 from scanrender.scan.views import make_views
 from scanrender.settings.prep import PrepSettings
 from scanrender.settings.scan import ScanSettings
@@ -254,9 +254,8 @@ def _low_mesh(
 ) -> Low:
     """Unwrap, and give normals and tangents in float32, as the asset will hold them."""
     with journal.stage("unwrap") as notes:
-        result = as_is_unwrapped(surface) if as_is else None
-        if result is None:
-            result = unwrap(positions, faces, prep.unwrap, prep.bake.albedo_px, handed_over)
+        own = (surface.corner_uv, surface.page) if as_is else (None, None)
+        result = unwrap(positions, faces, prep.unwrap, prep.bake.albedo_px, handed_over, *own)
         notes.update(result.report)
         normals = vertex_normals(positions, faces)
         split = positions[result.source].astype(np.float32)

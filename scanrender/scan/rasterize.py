@@ -28,7 +28,7 @@ class Texels:
 
     def scatter(self, values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
         """A (size, size, c) map with `values` (k, c) at the covered texels, 0 elsewhere."""
-        values = values.reshape(len(self.index), -1)
+        values = values[:, None] if values.ndim == 1 else values
         out = np.zeros((self.size * self.size, values.shape[1]), np.float32)
         out[self.index] = values
         return out.reshape(self.size, self.size, -1)

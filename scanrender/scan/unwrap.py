@@ -1,4 +1,4 @@
-"""Texture coordinates by a ladder: own charts, then xatlas, then six projections.
+"""Texture coordinates by a ladder: the scan's if asked for, own charts, xatlas, six projections.
 
 Every rung is checked; the one that ran, and why those above did not, is in the report.
 """
@@ -17,13 +17,17 @@ from scanrender.errors import ScanrenderError, StageError
 from scanrender.scan.child import run_task
 from scanrender.scan.flatten import signed_areas
 from scanrender.scan.rasterize import overlap_share
-from scanrender.scan.surface import Surface
-from scanrender.scan.topology import unique_rows
+from scanrender.scan.topology import face_areas, unique_rows
 from scanrender.scan.unwrap_box import pack_shelves, project
 from scanrender.settings.prep import UnwrapSettings
 
 Array = npt.NDArray[Any]
-AS_IS_OVERLAP = 0.02
+# Of the scan's own coordinates. Overlapping ones (mirrored halves) cannot hold occlusion.
+AS_IS_OVERLAP, OVERLAP_PX = 0.02, 1024
+# Of the surface, what may lie in no texel: shown a hundred times as coarsely as the rest, or worse.
+AS_IS_FLAT, FLAT_DENSITY = 0.01, 1e-4
+# Of the map. Own charts cover two thirds: on a twentieth, texels are four times as coarse as those.
+AS_IS_USE = 0.05
 # What a rung gives: chart (m,), packed corner_uv (m, 3, 2) with y up, and notes.
 Rung = tuple[Array, Array, dict[str, Any]]
 
@@ -46,15 +50,20 @@ def unwrap(
     settings: UnwrapSettings,
     size_px: int,
     handed_over: Callable[[], None] = lambda: None,
+    own_uv: Array | None = None,
+    page: Array | None = None,
 ) -> Unwrapped:
     """Unwrap (n, 3) mm positions and (m, 3) faces for a map of size_px. `handed_over` is called
-    once the first child has them. Raises StageError."""
+    once the first child has them. own_uv (m, 3, 2), origin top left, on the pages (m,), is kept
+    where it will do. Raises StageError."""
     failures: list[str] = []
     rungs: list[tuple[str, Callable[..., Rung]]] = [
         ("charts", partial(_by_charts, handed_over=handed_over)),
         ("xatlas", _by_xatlas),
         ("box", _by_box),
     ]
+    if own_uv is not None:
+        rungs.insert(0, ("as is", partial(_as_is, own_uv, page)))
     for name, rung in rungs:
         try:
             chart, corner_uv, notes = rung(positions, faces, settings, size_px)
@@ -114,6 +123,37 @@ def _by_box(positions: Array, faces: Array, settings: UnwrapSettings, size_px: i
     return chart, pack_shelves(chart, flat, padding), {"packer": "shelves"}
 
 
+def _as_is(
+    uv: Array,
+    page: Array | None,
+    positions: Array,
+    faces: Array,
+    settings: UnwrapSettings,
+    size_px: int,
+) -> Rung:
+    """The scan's own coordinates. Raises ValueError where they do not make one map of it all."""
+    if blank := int((~np.isfinite(uv).all(axis=(1, 2))).sum()):
+        raise ValueError(
+            f"{blank} faces have no texture coordinates, as those that close a hole or the neck"
+        )
+    if page is not None and len(np.unique(page)) > 1:
+        raise ValueError("the faces lie on several texture pages, which cannot share one map")
+    if uv.min() < -1e-4 or uv.max() > 1.0 + 1e-4:
+        raise ValueError("texture coordinates outside the map, where the image repeats")
+    up = np.stack([uv[:, :, 0], 1.0 - uv[:, :, 1]], axis=2).astype(np.float64)
+    up = np.clip(up, 0.0, 1.0)
+    flat, corners = up.reshape(-1, 2), np.arange(3 * len(up)).reshape(-1, 3)
+    share, surface = np.abs(signed_areas(flat, corners)), face_areas(positions, faces)
+    lost = share * surface.sum() <= FLAT_DENSITY * share.sum() * surface
+    if (gone := float(surface[lost].sum() / surface.sum())) > AS_IS_FLAT:
+        raise ValueError(f"{100 * gone:.0f} % of the surface has no area in the map")
+    if share.sum() < AS_IS_USE:
+        raise ValueError(f"the charts cover only {100 * share.sum():.3g} % of the map")
+    if (overlap := overlap_share(flat, corners, OVERLAP_PX)) > AS_IS_OVERLAP:
+        raise ValueError(f"{100 * overlap:.0f} % of the map lies under more than one face")
+    return _charts_of(up, faces), up, {}
+
+
 def _charts_of(corner_uv: Array, faces: Array) -> Array:
     """Charts as the pieces that stay connected when vertices are told apart by their UV."""
     from scanrender.scan.segment import edge_components
@@ -143,28 +183,3 @@ def _check(result: Unwrapped) -> None:
     area = np.abs(signed_areas(result.uv, result.faces)).sum()
     if area < 1e-4:
         raise ValueError(f"the charts cover only {100 * area:.3g} % of the map")
-
-
-def as_is_unwrapped(surface: Surface) -> Unwrapped | None:
-    """The raw texture coordinates, when each face has some and they fit one map; else None.
-
-    Several pages cannot share one map, coordinates outside [0, 1] repeat, and overlapping ones
-    (mirrored halves) cannot hold occlusion: these are unwrapped anew.
-    """
-    uv = surface.corner_uv
-    if uv is None or not np.isfinite(uv).all() or len(np.unique(surface.page)) > 1:
-        return None
-    if uv.min() < -1e-4 or uv.max() > 1.0 + 1e-4:
-        return None
-    flat = np.clip(uv.reshape(-1, 2), 0.0, 1.0)
-    if overlap_share(flat, np.arange(len(flat)).reshape(-1, 3), 1024) > AS_IS_OVERLAP:
-        return None
-    up = np.stack([uv[:, :, 0], 1.0 - uv[:, :, 1]], axis=2).astype(np.float64)
-    up = np.clip(up, 0.0, 1.0)
-    chart = _charts_of(up, surface.faces)
-    result = _joined(surface.faces, chart, up)
-    flipped = int((signed_areas(_y_up(result.uv), result.faces) < 0).sum())
-    result.report.update(
-        rung="as is", charts=int(chart.max()) + 1, flipped=flipped, failed_rungs=[]
-    )
-    return result

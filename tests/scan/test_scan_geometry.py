@@ -129,6 +129,13 @@ def test_rasteriser_covers_each_centre_once_and_interpolates_exactly():
     assert overlap_share(uv, np.concatenate([faces, [[0, 1, 2]]]), 64) > 0.4
 
 
+def test_a_map_without_a_covered_texel_is_empty():
+    texels = rasterize(np.zeros((3, 2)), np.array([[0, 1, 2]]), 4)
+    assert len(texels.index) == 0
+    assert texels.scatter(np.zeros(0)).shape == (4, 4, 1)
+    assert texels.scatter(np.zeros((0, 3))).shape == (4, 4, 3)
+
+
 def test_gutters_take_the_nearest_value():
     image = np.zeros((8, 8, 1), np.float32)
     covered = np.zeros((8, 8), bool)

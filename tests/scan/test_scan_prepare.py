@@ -14,7 +14,7 @@ from scan_shapes import SCANS, cube, sphere, write_obj, write_ply
 
 from scanrender import images
 from scanrender.asset import MAPS, load_asset
-from scanrender.errors import ScanError, StageError
+from scanrender.errors import OutputError, ScanError, StageError
 from scanrender.scan.child import run_task
 from scanrender.scan.inspect import inspect_scan
 from scanrender.scan.prepare import prepare
@@ -178,6 +178,17 @@ def test_a_bad_scan_leaves_nothing_behind(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.obj"]
 
 
+def test_a_folder_that_is_no_asset_is_not_replaced(tmp_path):
+    positions, faces, _ = sphere(100.0, 8, 16)
+    scan = write_obj(tmp_path / "a.obj", positions, faces)
+    out = tmp_path / "documents"
+    out.mkdir()
+    (out / "thesis.txt").write_text("years of work")
+    with pytest.raises(OutputError, match="holds other files"):
+        prepare(scan, ScanSettings(), SMALL, out)
+    assert [p.name for p in out.iterdir()] == ["thesis.txt"]
+
+
 @pytest.mark.parametrize(
     ("params", "sentence"),
     [
@@ -290,3 +301,57 @@ def test_maps_are_no_finer_than_asked_for_on_the_surface(textured, tmp_path):
     asset = prepare(scan, ScanSettings(units="mm"), settings, tmp_path / "asset")
     assert asset.maps["albedo"].shape[0] == asset.maps["normal_ts"].shape[0] == 256
     assert set(asset.maps) == {"albedo", "normal_ts"}
+
+
+def unwrapped_as_is(tmp_path, positions, faces, uv, **clean):
+    """The asset and what its report says of the unwrapping, with tiny maps of colour alone."""
+    scan = write_obj(tmp_path / "a.obj", positions, faces, uv)
+    bake = {"albedo_px": 64, "normal_px": 64, "data_px": 64, "maps": ["albedo"]}
+    prep = PrepSettings.model_validate({"report": "short", "bake": bake, "clean": clean})
+    asset = prepare(scan, ScanSettings(units="mm"), prep, tmp_path / "out", as_is=True)
+    return asset, next(s for s in asset.info["stages"] if s["name"] == "unwrap")["notes"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "reason"),
+    [
+        (lambda uv: 0.0 * uv, "100 % of the surface"),
+        (lambda uv: 0.02 * uv + 0.4, "only 0.035 % of the map"),
+        (lambda uv: 2.0 * uv, "outside the map"),
+        (lambda uv: 0.5 - np.abs(uv - 0.5), "more than one face"),
+    ],
+)
+def test_as_is_unwraps_anew_and_says_why(tmp_path, changed, reason):
+    """Texture coordinates that lie at one point, in a corner of the map, outside it, or folded."""
+    positions, faces, uv = sphere(100.0, 8, 16)
+    asset, notes = unwrapped_as_is(tmp_path, positions, faces, changed(uv))
+    assert notes["rung"] == "charts"
+    assert reason in notes["failed_rungs"][0]
+    assert any(reason in warning for warning in asset.info["warnings"])
+    assert len(asset.mesh.faces) == len(faces)
+
+
+def test_as_is_unwraps_anew_where_a_piece_has_no_place_in_the_map(tmp_path):
+    """An eyeball beside the head, all of it at one point of the map: no texel would hold it."""
+    positions, faces, uv = sphere(100.0, 12, 24)
+    eye, eye_faces, eye_uv = sphere(20.0, 6, 12)
+    both = np.concatenate([positions, eye + np.array([0.0, 0.0, 130.0])])
+    all_faces = np.concatenate([faces, eye_faces + len(positions)])
+    all_uv = np.concatenate([uv, np.full(eye_uv.shape, 0.25)])
+    _, notes = unwrapped_as_is(tmp_path, both, all_faces, all_uv)
+    assert notes["rung"] == "charts"
+    assert "4 % of the surface" in notes["failed_rungs"][0]
+
+
+@pytest.mark.parametrize("hole_mm", [0.0, 120.0])
+def test_as_is_says_that_a_filled_hole_has_no_texture_coordinates(tmp_path, hole_mm):
+    positions, faces, uv = sphere(100.0, 12, 24)
+    whole = (faces != 130).all(axis=1)
+    asset, notes = unwrapped_as_is(tmp_path, positions, faces[whole], uv[whole], hole_mm=hole_mm)
+    if hole_mm == 0.0:
+        assert notes["rung"] == "as is"
+        assert notes["failed_rungs"] == []
+        assert not any("unwrapping" in warning for warning in asset.info["warnings"])
+    else:
+        assert notes["rung"] == "charts"
+        assert "no texture coordinates" in notes["failed_rungs"][0]
