@@ -17,10 +17,11 @@ def fitted_sizes(bake: BakeSettings, area_mm2: float) -> BakeSettings:
     if bake.texel_mm is None or area_mm2 <= 0.0:
         return bake
     enough_px = math.sqrt(area_mm2 / ATLAS_USE) / bake.texel_mm
-    return bake.model_copy(update={name: _halved(getattr(bake, name), enough_px) for name in SIDES})
+    return bake.model_copy(update={name: halved(getattr(bake, name), enough_px) for name in SIDES})
 
 
-def _halved(side_px: int, enough_px: float) -> int:
+def halved(side_px: int, enough_px: float) -> int:
+    """The side halved while it stays `enough_px` and no map is too small to show anything."""
     while side_px % 2 == 0 and side_px // 2 >= max(enough_px, LEAST_PX):
         side_px //= 2
     return side_px

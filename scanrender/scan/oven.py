@@ -18,6 +18,7 @@ from scanrender.scan.diffuse import diffuse
 from scanrender.scan.gutters import Gutters
 from scanrender.scan.high import High, Low
 from scanrender.scan.journal import Journal
+from scanrender.scan.map_sizes import halved
 from scanrender.scan.pages import Page
 from scanrender.scan.project import Projector, Samples
 from scanrender.scan.rasterize import rasterize
@@ -203,9 +204,7 @@ def _skin(
 
 def _guessed_skin(oven: Oven, ao: Array | None, size: int, notes: dict[str, Any]) -> Array:
     """Skin (k,) at the texels of `size`, found on a map whose texels are no finer than it needs."""
-    coarse = size
-    while coarse % 2 == 0 and oven.low.texel_mm(coarse // 2) <= SKIN_TEXEL_MM:
-        coarse //= 2
+    coarse = halved(size, oven.low.texel_mm(1) / SKIN_TEXEL_MM)
     mesh, texels = oven.low.mesh, oven.samples(size).texels
     seen = texels if coarse == size else rasterize(mesh.uv, mesh.faces, coarse)
     albedo = _resized(oven.maps["albedo"], coarse).reshape(-1, 3)[seen.index]

@@ -382,3 +382,16 @@ def test_an_unsuitable_mask_leaves_no_asset(tmp_path):
     with pytest.raises(ConfigError, match="is missing"):
         masked(bust(tmp_path), "lost.png", tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_head_in_metres_that_is_called_millimetres_has_a_skin_map(tmp_path):
+    """No texel of it is as large as skin needs: a map is halved only while it still has texels."""
+    positions, faces, uv = sphere(0.1, 8, 16)
+    colors = np.tile([0.85, 0.62, 0.5], (len(positions), 1))
+    narrow = uv * [0.4, 1.0]  # nothing in the middle, where the only texel of a map of 1 px lies
+    scan = write_obj(tmp_path / "a.obj", positions, faces, narrow, colors=colors)
+    bake = {"albedo_px": 128, "data_px": 128, "normal_px": 16, "maps": ["skin"]}
+    prep = PrepSettings.model_validate({"report": "short", "bake": bake})
+    asset = prepare(scan, MM, prep, tmp_path / "out", as_is=True)
+    assert asset.maps["skin"].shape == (128, 128, 1)
+    assert asset.maps["skin"].min() > 0.99
