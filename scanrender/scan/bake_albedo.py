@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from typing import Any
 
@@ -36,31 +37,32 @@ class ColorSource:
             self.kind = "vertex"
         self.substitute = _substitutes(surface, textured) if self.kind == "texture" else None
 
-    def pixel_mm(self) -> float:
-        """Median size on the surface of a pixel of the pages, by area; infinite without pages."""
-        surface = self.surface
+    def pixels_mm(self) -> tuple[float, list[float]]:
+        """Median size on the surface of a pixel, by area: of all pages together, and of each;
+        infinite where nothing says how large one is."""
+        surface, count = self.surface, len(self.pages)
         if self.kind != "texture" or surface.corner_uv is None:
-            return float("inf")
+            return float("inf"), [float("inf")] * count
         size = np.array([page.size for page in self.pages], np.float64)
         used = np.flatnonzero((surface.page != NO_PAGE) & (size[surface.page].min(axis=1) > 1))
-        if not len(used):
-            return float("inf")
         uv = surface.corner_uv[used] * size[surface.page[used]][:, None]
         e1, e2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
         pixels = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
         area = face_areas(surface.positions, surface.faces[used])
-        valid = np.isfinite(pixels) & (pixels > 1e-9)
-        order = np.argsort(area[valid] / pixels[valid])
-        passed = np.cumsum(area[valid][order])
-        middle = order[int(np.searchsorted(passed, 0.5 * passed[-1]))] if len(order) else 0
-        return float(np.sqrt((area[valid] / pixels[valid])[middle])) if len(order) else float("inf")
+        valid = np.isfinite(pixels) & (pixels > 1e-9) & (area > 0.0)
+        page, area = surface.page[used][valid], area[valid]
+        side = np.sqrt(area / pixels[valid])
+        each = [_median(side[page == k], area[page == k]) for k in range(count)]
+        return _median(side, area), each
 
-    def shrunk(self, factor: int) -> ColorSource:
-        """The same source with its pages averaged over factor x factor pixels."""
-        if factor <= 1:
+    def shrunk(self, factors: Sequence[int]) -> ColorSource:
+        """The same source with each page averaged over factor x factor pixels."""
+        if max(factors, default=1) <= 1:
             return self
         smaller = copy(self)
-        smaller.pages = tuple(page.shrunk(factor) for page in self.pages)
+        smaller.pages = tuple(
+            page.shrunk(factor) for page, factor in zip(self.pages, factors, strict=True)
+        )
         return smaller
 
     def at(self, hits: Hits) -> npt.NDArray[np.float32]:
@@ -113,15 +115,25 @@ def bake_albedo_supersampled(
     return total.reshape(size, size, 3), covered, missed / max(1.0, count)
 
 
-def sampling(source_mm: float, texel_mm: float) -> tuple[int, int]:
-    """(supersampling, page shrink factor) for a map of texel_mm from an image of source_mm a pixel.
+def supersampling(source_mm: float, texel_mm: float) -> int:
+    """Samples along each side of a texel, from an image of source_mm a pixel: one suffices where
+    the image is no finer than the map; where it is much finer, it is averaged first."""
+    return 1 if texel_mm / source_mm < 1.2 else 2
 
-    One sample suffices where the image is no finer than the map; beyond twice as fine, the image is
-    averaged first so that four samples still see all of it.
-    """
-    ratio = texel_mm / source_mm if source_mm > 0 else 1.0
-    supersample = 1 if ratio < 1.2 else 2
-    return supersample, max(1, int(ratio / supersample))
+
+def averaging(page_mm: Sequence[float], sample_mm: float) -> list[int]:
+    """For each page of page_mm a pixel, how many along a side make up a sample: averaged over
+    those, samples that lie sample_mm apart still see all of it."""
+    return [max(1, int(sample_mm / pixel_mm)) for pixel_mm in page_mm]
+
+
+def _median(values: Array, weights: Array) -> float:
+    """By weight; infinite of nothing."""
+    if not len(values):
+        return float("inf")
+    order = np.argsort(values)
+    passed = np.cumsum(weights[order])
+    return float(values[order[int(np.searchsorted(passed, 0.5 * passed[-1]))]])
 
 
 def _substitutes(surface: Surface, textured: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:

@@ -9,7 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.images import Image
-from scanrender.scan.bake_albedo import ColorSource, bake_albedo, bake_albedo_supersampled, sampling
+from scanrender.scan.bake_albedo import (
+    ColorSource,
+    averaging,
+    bake_albedo,
+    bake_albedo_supersampled,
+    supersampling,
+)
 from scanrender.scan.bake_normals import NormalSource, bake_normals
 from scanrender.scan.bake_shape import THICKNESS_CAP_MM, THICKNESS_FALL_MM, ambient_occlusion
 from scanrender.scan.bake_shape import thickness as thickness_of
@@ -129,9 +135,9 @@ def shape_values(
 def _albedo(oven: Oven, source: ColorSource, bake: BakeSettings, notes: dict[str, Any]) -> None:
     size = bake.albedo_px
     texel_mm = oven.low.texel_mm(size)
-    supersample, shrink = sampling(source.pixel_mm(), texel_mm)
-    if bake.supersample:
-        supersample = bake.supersample
+    source_mm, page_mm = source.pixels_mm()
+    supersample = bake.supersample or supersampling(source_mm, texel_mm)
+    shrink = averaging(page_mm, texel_mm / supersample)
     source = source.shrunk(shrink)
     if supersample == 1:
         samples = oven.samples(size)

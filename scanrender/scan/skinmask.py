@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.errors import ConfigError, ScanError
-from scanrender.scan.bake_albedo import ColorSource
+from scanrender.scan.bake_albedo import ColorSource, averaging
 from scanrender.scan.pages import Page, read_page
 from scanrender.scan.raw import NO_PAGE, RawMesh
 from scanrender.scan.rays import Hits
@@ -36,9 +36,8 @@ class SkinMask:
             has_uv = np.isfinite(surface.corner_uv).all(axis=(1, 2))
             surface = replace(surface, page=np.where(has_uv, 0, NO_PAGE).astype(np.int16))
         source = ColorSource(surface, self.pages, (1.0, 1.0, 1.0))
-        pixel_mm = source.pixel_mm()
-        if 0.0 < pixel_mm < texel_mm:
-            source = source.shrunk(int(texel_mm / pixel_mm))
+        _, page_mm = source.pixels_mm()
+        source = source.shrunk(averaging(page_mm, texel_mm))
         return np.asarray(np.clip(source.at(hits).mean(axis=1), 0.0, 1.0), np.float32)
 
 
