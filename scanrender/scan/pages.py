@@ -21,13 +21,15 @@ _CHUNK = 1_000_000
 
 @dataclass(frozen=True)
 class Page:
-    """One image. pixels (h, w, 3) as stored; `factor` multiplies the decoded linear value."""
+    """One image. pixels (h, w, 3) as stored; `factor` multiplies the decoded linear value. extent:
+    the image's own width and height in pixels, where it ends within the last ones (`shrunk`)."""
 
     name: str
     pixels: npt.NDArray[Any]
     encoding: Encoding = "srgb"
     factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
     flip_green: bool = False
+    extent: tuple[float, float] | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -45,17 +47,20 @@ class Page:
         return out
 
     def shrunk(self, factor: int) -> Page:
-        """Averaged in linear light over factor x factor pixels, so coarse maps do not alias."""
+        """Averaged in linear light over factor x factor pixels, so coarse maps do not alias; over
+        those that are left in the last column and row."""
         width, height = self.size
         factor = min(factor, width, height)
         if factor <= 1:
             return self
-        rows, columns = height // factor, width // factor
-        small = np.empty((rows, columns, 3), np.float32)
-        for row in range(rows):
-            strip = self.pixels[row * factor : (row + 1) * factor, : columns * factor]
-            small[row] = self._decode(strip).reshape(factor, columns, factor, 3).mean(axis=(0, 2))
-        return Page(self.name, small, "linear", self.factor, self.flip_green)
+        first = np.arange(0, width, factor)
+        count = np.diff(first, append=width).astype(np.float32)[:, None]
+        small = np.empty((-(-height // factor), len(first), 3), np.float32)
+        for row in range(len(small)):
+            strip = self._decode(self.pixels[row * factor : (row + 1) * factor])
+            np.divide(np.add.reduceat(strip.mean(axis=0), first, axis=0), count, out=small[row])
+        extent = (width / factor, height / factor)
+        return Page(self.name, small, "linear", self.factor, self.flip_green, extent)
 
     def _sample(self, uv: npt.NDArray[Any]) -> npt.NDArray[Any]:
         width, height = self.size
@@ -63,7 +68,8 @@ class Page:
         inside = (uv >= 0.0) & (uv <= 1.0)
         # Only wrap what is outside: wrapping 1.0 to 0.0 would drag in the opposite border.
         uv = np.where(inside, uv, uv - np.floor(uv))
-        x, y = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5
+        across, down = self.extent or (width, height)
+        x, y = uv[:, 0] * across - 0.5, uv[:, 1] * down - 0.5
         x0, y0 = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
         fx, fy = (x - x0)[:, None].astype(np.float32), (y - y0)[:, None].astype(np.float32)
         left, right = np.clip(x0, 0, width - 1), np.clip(x0 + 1, 0, width - 1)

@@ -37,6 +37,27 @@ RED_PIXEL = np.full((4, 2), 0.25)
 MIDDLES = Hits(np.arange(4, dtype=np.int32), np.full((4, 3), 1 / 3, np.float32), np.zeros(4))
 
 
+@pytest.mark.parametrize("factor", [2, 7, 13, 50])
+def test_an_averaged_page_lies_where_it_lay(factor):
+    """960 pixels are 73 blocks of 13 and a part of one: the image ends where it ended."""
+    page = ramp(960, 960)
+    uv = np.array([[u, v] for u in (0.1, 0.5, 0.9) for v in (0.1, 0.5, 0.9)])
+    at_border = 0.5 * factor / 960
+    small = page.shrunk(factor)
+    assert small.size[0] < 960 / factor + 1
+    np.testing.assert_allclose(small.sample(uv)[:, 0], uv[:, 0], atol=1e-5)
+    assert small.sample(np.array([[1.0, 0.5]]))[0, 0] == pytest.approx(1.0, abs=1.01 * at_border)
+    upright = Page("ramp", page.pixels.transpose(1, 0, 2), "linear").shrunk(factor)
+    np.testing.assert_allclose(upright.sample(uv)[:, 0], uv[:, 1], atol=1e-5)
+
+
+def test_averaging_leaves_no_pixel_out():
+    pixels = np.zeros((5, 5, 3), np.uint8)
+    pixels[4, 4] = 255
+    small = Page("corner", pixels).shrunk(4)
+    assert small.pixels[:, :, 0].tolist() == [[0.0, 0.0], [0.0, 1.0]]
+
+
 def test_a_palette_beside_a_large_page_keeps_its_colours():
     """A texel holds thousands of the large page's pixels, and a part of one of the palette's."""
     large = Page("large", np.full((960, 960, 3), 128, np.uint8))
