@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,10 +14,13 @@ from scanrender.asset import Mesh, load_asset, save_asset
 from scanrender.errors import ScanError, StageError
 from scanrender.phantom import make_head
 from scanrender.scan import levels as module
+from scanrender.scan import pipeline
+from scanrender.scan.journal import Journal
 from scanrender.scan.levels import make_lods
-from scanrender.scan.lods import _unflipped, _widest
-from scanrender.scan.lost import sample_hits
+from scanrender.scan.lods import _unflipped, _widest, lods_task
+from scanrender.scan.lost import sample_hits, surface_distance
 from scanrender.scan.mend import drop_pockets, plain_surface
+from scanrender.scan.pipeline import NOTABLE_MM
 from scanrender.scan.prepare import prepare
 from scanrender.scan.rays import Target
 from scanrender.scan.seams import Seams
@@ -24,7 +28,7 @@ from scanrender.scan.segment import segment
 from scanrender.scan.simplify import simplify
 from scanrender.scan.tangents import vertex_tangents
 from scanrender.scan.topology import components, edges_of, vertex_normals
-from scanrender.scan.unwrap import unwrap
+from scanrender.scan.unwrap import _joined, unwrap
 from scanrender.settings.prep import PrepSettings, SimplifySettings, UnwrapSettings
 from scanrender.settings.scan import ScanSettings
 
@@ -55,6 +59,24 @@ def welded(mesh):
 def signed(mesh):
     a, b, c = (mesh.uv[mesh.faces[:, k]].astype(float) for k in range(3))
     return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+
+
+def split_mesh(positions, faces, corner_uv, chart):
+    """What an atlas as it is gives the child: split by chart and texture coordinates (top left)."""
+    cut = _joined(faces, chart, np.stack([corner_uv[..., 0], 1.0 - corner_uv[..., 1]], axis=2))
+    normals = vertex_normals(positions, faces)[cut.source].astype(np.float32)
+    split, uv = positions[cut.source].astype(np.float32), cut.uv.astype(np.float32)
+    tangents = vertex_tangents(split, cut.faces, normals, uv)
+    names = ("positions_mm", "normals", "tangents", "uv", "faces")
+    return dict(zip(names, (split, normals, tangents, uv, cut.faces), strict=True))
+
+
+def mirrored_sphere():
+    """A sphere whose southern half is a chart of its own and mirrored."""
+    positions, faces, uv = sphere(100.0, 20, 40)
+    chart = (positions[faces].mean(axis=1)[:, 1] < 0.0).astype(int)
+    uv[chart == 1, :, 0] = 1.0 - uv[chart == 1, :, 0]
+    return positions, faces, uv, chart
 
 
 def test_finest_first_and_near_their_size(made):
@@ -149,6 +171,33 @@ def test_borders_are_thinned_alike_on_both_sides():
     assert (joined.count == 2).all(), "no gap and no overlap"
     assert components(thin, len(points))[0] == components(split, len(points))[0]
     assert Seams(points, uv, split, place).thinned(1.0).shape == split.shape
+
+
+def test_a_long_seam_keeps_its_shape_where_most_border_places_must_stay():
+    """At the poles of this sphere each place of the border is a tip of several corners."""
+    positions, faces, uv = sphere(100.0, 20, 40)
+    arrays = split_mesh(positions, faces, uv, np.zeros(len(faces), int))
+    result, report = lods_task(arrays, {"targets": [700]})
+    assert not report["problems"]
+    away = surface_distance(Target(positions, faces), result["1_positions_mm"], result["1_faces"])
+    assert away["symmetric_mm"]["p99"] < 1.0
+
+
+def test_a_level_further_from_the_scan_than_its_edges_are_long_is_warned_of(monkeypatch):
+    positions, faces, _ = sphere(100.0, 20, 40)
+    raw = SimpleNamespace(target=Target(positions, faces))
+    coarse, corners, uv = sphere(98.0, 10, 20)
+    sound = Mesh(**split_mesh(coarse, corners, uv, np.zeros(len(corners), int)))
+    dented = sound.positions_mm.copy()
+    dented[dented[:, 0] > 60.0, 0] = 60.0
+    dent = replace(sound, positions_mm=dented)
+    monkeypatch.setattr(pipeline, "make_lods", lambda *_: ([sound, dent], [0.0, 0.0], []))
+    journal, settings = Journal(None), PrepSettings(simplify=SimplifySettings(lods=[500]))
+    _, levels = pipeline._levels_of_detail(raw, SimpleNamespace(mesh=None), settings, journal)
+    [warning] = journal.warnings
+    assert warning.startswith("the level of detail of 360 triangles is up to")
+    assert f"{levels[1]['error_mm']:.2f} mm" in warning
+    assert levels[0]["error_mm"] > NOTABLE_MM, "a coarse level strays by that, and is sound"
 
 
 def test_a_pocket_that_hangs_by_an_edge_is_dropped():
