@@ -14,7 +14,7 @@ from scanrender.asset import Mesh, load_asset, save_asset
 from scanrender.errors import ScanError, StageError
 from scanrender.phantom import make_head
 from scanrender.scan import levels as module
-from scanrender.scan import pipeline
+from scanrender.scan import lods, pipeline
 from scanrender.scan.journal import Journal
 from scanrender.scan.levels import make_lods
 from scanrender.scan.lods import _unflipped, _widest, lods_task
@@ -200,6 +200,53 @@ def test_a_level_further_from_the_scan_than_its_edges_are_long_is_warned_of(monk
     assert levels[0]["error_mm"] > NOTABLE_MM, "a coarse level strays by that, and is sound"
 
 
+def test_a_mirrored_chart_stays_mirrored():
+    positions, faces, uv, chart = mirrored_sphere()
+    arrays = split_mesh(positions, faces, uv, chart)
+    result, report = lods_task(arrays, {"targets": [700]})
+    assert not report["problems"]
+    level = Mesh(**{key: result[f"1_{key}"] for key in arrays})
+    south = level.positions_mm[level.faces].mean(axis=1)[:, 1] < 0.0
+    area = signed(level)
+    assert (area[south] < 0.0).all() or (area[south] > 0.0).all()
+    assert (area[~south] * area[south][0] < 0.0).all()
+    assert (level.tangents[:, 3] != level.tangents[0, 3]).any()
+
+
+def test_a_closed_piece_on_one_texel_costs_no_level():
+    positions, faces, uv = sphere(100.0, 20, 40)
+    small, corners, _ = sphere(20.0, 6, 12)
+    both = np.concatenate([positions, small + np.array([0.0, 0.0, 130.0])])
+    all_faces = np.concatenate([faces, corners + len(positions)])
+    coordinates = np.concatenate([uv, np.full((len(corners), 3, 2), 0.25)])
+    chart = (np.arange(len(all_faces)) >= len(faces)).astype(int)
+    arrays = split_mesh(both, all_faces, coordinates, chart)
+    result, report = lods_task(arrays, {"targets": [1000]})
+    assert not report["problems"]
+    assert np.isfinite(report["slide_mm"]["1"])
+    eye = result["1_positions_mm"][:, 2] > 105.0
+    assert eye.sum() > 10
+    np.testing.assert_allclose(result["1_uv"][eye], [[0.25, 0.25]] * eye.sum(), atol=1e-6)
+    assert np.linalg.norm(result["1_normals"][eye], axis=1) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_one_failing_level_leaves_the_others(monkeypatch):
+    positions, faces, uv = sphere(100.0, 20, 40)
+    arrays = split_mesh(positions, faces, uv, np.zeros(len(faces), int))
+    made = lods.coarser
+
+    def failing(first, faces, target):
+        if target == 1000:
+            raise IndexError("no border")
+        return made(first, faces, target)
+
+    monkeypatch.setattr(lods, "coarser", failing)
+    result, report = lods_task(arrays, {"targets": [1000, 700]})
+    assert report["problems"] == ["1000 triangles: IndexError: no border"]
+    assert list(report["slide_mm"]) == ["2"]
+    assert len(result["2_faces"]) == pytest.approx(700, rel=0.05)
+
+
 def test_a_pocket_that_hangs_by_an_edge_is_dropped():
     positions, faces, _ = sphere(50.0)
     # A tetrahedron on the edge of the first face.
@@ -222,7 +269,7 @@ def test_the_widest_place_of_a_ring_is_its_centre():
     outside = uv.copy()
     outside[0] = [3.0, 1.0]
     inner = np.arange(7) == 0
-    assert _unflipped(outside, ring, inner, 1.0) == 0
+    assert _unflipped(outside, ring, inner, np.ones(6)) == 0
     assert np.linalg.norm(outside[0]) < 1.0
     np.testing.assert_array_equal(outside[1:], uv[1:])
 
