@@ -109,8 +109,9 @@ class Child:
     stderr: IO[bytes]
     own_group: bool
 
-    def run(self, timeout_s: float, progress: Progress | None = None) -> None:
-        """Let it work; each stage it announces starts the timeout anew.
+    def run(self, timeout_s: float, progress: Progress | None = None, grace_s: float = 0.0) -> None:
+        """Let it work; each stage has the timeout, from when it is first announced, and grace_s for
+        children of its own to reach theirs first.
 
         Raises what the child raised, or StageError for a crash or a timeout.
         """
@@ -120,7 +121,7 @@ class Child:
             with contextlib.suppress(OSError):  # it is dead already: its exit code will tell
                 process.stdin.write(GO)
                 process.stdin.flush()
-            stage = _follow(process, stage, timeout_s, progress)
+            stage = _follow(process, stage, timeout_s, grace_s, progress)
         finally:
             _close(process, self.own_group)
         if process.returncode:
@@ -199,17 +200,21 @@ def _close(process: subprocess.Popen[bytes] | Copy, own_group: bool) -> None:
 
 
 def _follow(
-    process: subprocess.Popen[bytes] | Copy, stage: str, timeout_s: float, progress: Progress | None
+    process: subprocess.Popen[bytes] | Copy,
+    stage: str,
+    timeout_s: float,
+    grace_s: float,
+    progress: Progress | None,
 ) -> str:
     """Read events until the child closes its output; returns the last stage announced."""
     lines: queue.Queue[bytes | None] = queue.Queue()
     assert process.stdout is not None
     reader = threading.Thread(target=_pump, args=(process.stdout, lines), daemon=True)
     reader.start()
-    deadline = time.monotonic() + timeout_s
+    deadlines = {stage: time.monotonic() + timeout_s + grace_s}
     while True:
         try:
-            line = lines.get(timeout=max(0.0, deadline - time.monotonic()))
+            line = lines.get(timeout=max(0.0, deadlines[stage] - time.monotonic()))
         except queue.Empty:
             raise StageError(
                 f"the stage '{stage}' took longer than {timeout_s:g} s and was stopped",
@@ -222,8 +227,8 @@ def _follow(
             process.wait()
             raise _rebuilt(event["error"])
         if "stage" in event:
-            if event["stage"] != stage:
-                stage, deadline = event["stage"], time.monotonic() + timeout_s
+            stage = event["stage"]
+            deadlines.setdefault(stage, time.monotonic() + timeout_s + grace_s)
             if progress is not None:
                 progress(stage, float(event.get("fraction", 0.0)))
     with contextlib.suppress(subprocess.TimeoutExpired):

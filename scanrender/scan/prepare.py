@@ -15,6 +15,8 @@ from scanrender.scan.header import check_header, named
 from scanrender.settings.prep import PrepSettings
 from scanrender.settings.scan import ScanSettings
 
+GRACE_S = 5.0  # a child within a stage may have the stage's timeout, and begins later
+
 
 def prepare(
     path: Path | str,
@@ -48,7 +50,7 @@ def prepare(
         }
         (child.folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
         try:
-            child.run(prep.timeout_s, progress)
+            child.run(prep.timeout_s, progress, GRACE_S)
         except ScanError as error:
             raise named(error, path) from error
         for file in inner.iterdir():
