@@ -50,7 +50,8 @@ def prepare(
         }
         (child.folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
         try:
-            child.run(prep.timeout_s, progress, GRACE_S)
+            limited = prep.memory_mib is not None
+            child.run(prep.timeout_s, progress, GRACE_S, limited)
         except ScanError as error:
             raise named(error, path) from error
         for file in inner.iterdir():
