@@ -29,6 +29,7 @@ from scanrender import errors
 from scanrender.errors import CrashError, ScanrenderError, StageError
 from scanrender.files import scratch_folder
 from scanrender.scan.copied import Copy
+from scanrender.scan.memory import OUT_OF_MEMORY, limit_is_stated
 
 if TYPE_CHECKING:  # NumPy takes a fifth of a second that the child's own start can use
     import numpy.typing as npt
@@ -47,6 +48,8 @@ _DEFAULTS = {
     # The work is shared among processes: threads of BLAS' own wait beside them in busy loops.
     "OPENBLAS_NUM_THREADS": "1",
 }
+# Signals that native libraries die of when they get no memory.
+FAILED_ALLOCATION = {"SIGSEGV", "SIGABRT", "SIGBUS", "SIGILL", "SIGTRAP"}
 GO = b"go\n"  # what a child waits for
 PARENT = "SCANRENDER_PARENT"  # environment variable: the process a worker must not outlive
 
@@ -109,8 +112,15 @@ class Child:
     stderr: IO[bytes]
     own_group: bool
 
-    def run(self, timeout_s: float, progress: Progress | None = None) -> None:
-        """Let it work; each stage it announces starts the timeout anew.
+    def run(
+        self,
+        timeout_s: float,
+        progress: Progress | None = None,
+        grace_s: float = 0.0,
+        limited: bool = False,
+    ) -> None:
+        """Let it work; each stage has the timeout, from when it is first announced, and grace_s for
+        children of its own to reach theirs first. `limited`: it limits its memory as stated.
 
         Raises what the child raised, or StageError for a crash or a timeout.
         """
@@ -120,11 +130,12 @@ class Child:
             with contextlib.suppress(OSError):  # it is dead already: its exit code will tell
                 process.stdin.write(GO)
                 process.stdin.flush()
-            stage = _follow(process, stage, timeout_s, progress)
+            stage = _follow(process, stage, timeout_s, grace_s, progress)
         finally:
             _close(process, self.own_group)
         if process.returncode:
-            raise _crash(process.returncode, stage, _tail(self.stderr))
+            limited = limited or limit_is_stated()
+            raise _crash(process.returncode, stage, _tail(self.stderr), limited)
 
 
 _early: dict[str, Child] = {}
@@ -199,17 +210,21 @@ def _close(process: subprocess.Popen[bytes] | Copy, own_group: bool) -> None:
 
 
 def _follow(
-    process: subprocess.Popen[bytes] | Copy, stage: str, timeout_s: float, progress: Progress | None
+    process: subprocess.Popen[bytes] | Copy,
+    stage: str,
+    timeout_s: float,
+    grace_s: float,
+    progress: Progress | None,
 ) -> str:
     """Read events until the child closes its output; returns the last stage announced."""
     lines: queue.Queue[bytes | None] = queue.Queue()
     assert process.stdout is not None
     reader = threading.Thread(target=_pump, args=(process.stdout, lines), daemon=True)
     reader.start()
-    deadline = time.monotonic() + timeout_s
+    deadlines = {stage: time.monotonic() + timeout_s + grace_s}
     while True:
         try:
-            line = lines.get(timeout=max(0.0, deadline - time.monotonic()))
+            line = lines.get(timeout=max(0.0, deadlines[stage] - time.monotonic()))
         except queue.Empty:
             raise StageError(
                 f"the stage '{stage}' took longer than {timeout_s:g} s and was stopped",
@@ -222,8 +237,8 @@ def _follow(
             process.wait()
             raise _rebuilt(event["error"])
         if "stage" in event:
-            if event["stage"] != stage:
-                stage, deadline = event["stage"], time.monotonic() + timeout_s
+            stage = event["stage"]
+            deadlines.setdefault(stage, time.monotonic() + timeout_s + grace_s)
             if progress is not None:
                 progress(stage, float(event.get("fraction", 0.0)))
     with contextlib.suppress(subprocess.TimeoutExpired):
@@ -253,16 +268,21 @@ def _rebuilt(error: Mapping[str, Any]) -> ScanrenderError:
     return kind(str(error.get("what")), error.get("where"), error.get("fix"))
 
 
-def _crash(code: int, stage: str, tail: str) -> StageError:
+def _crash(code: int, stage: str, tail: str, limited: bool) -> StageError:
     """A child's exit code as a sentence. Negative codes are POSIX signals."""
+    where = tail or None
     if code == -signal.SIGKILL:
         what = f"the stage '{stage}' was killed, most likely because memory ran out"
         return CrashError(what, fix="lower prep.simplify.triangles, or use a larger machine")
     if code < 0:
         with contextlib.suppress(ValueError):
             name = signal.Signals(-code).name
-            return CrashError(f"the stage '{stage}' crashed ({name})", where=tail or None)
-    return StageError(f"the stage '{stage}' failed with exit code {code}", where=tail or None)
+            what = f"the stage '{stage}' crashed ({name})"
+            if limited and name in FAILED_ALLOCATION:
+                what = f"{what}, perhaps because memory ran out"
+                return CrashError(what, where, OUT_OF_MEMORY)
+            return CrashError(what, where)
+    return StageError(f"the stage '{stage}' failed with exit code {code}", where)
 
 
 def _tail(stream: Any) -> str:

@@ -51,7 +51,10 @@ def lods_task(
     problems: list[str] = []
     slide: dict[str, float] = {}
     for number, target in enumerate(params["targets"], 1):
-        level, problem = coarser(first, faces, int(target))
+        try:
+            level, problem = coarser(first, faces, int(target))
+        except Exception as error:  # noqa: BLE001  the other levels may be sound
+            problem = f"{type(error).__name__}: {error}"
         if problem is None:
             result.update({f"{number}_{key}": value for key, value in level.items()})
             slide[str(number)] = _slide_mm(first, faces, level)
@@ -95,8 +98,12 @@ def _coarser(
     origin = _origins(points, corners, split.positions[border], used[border], place)
     if origin is None:
         return {}, "the charts' outlines are not as they were"
-    level = _carried(points, corners, origin, first, faces)
-    flipped = _unflipped(level["uv"], corners, origin < 0, np.sign(signed_areas(uv, faces).sum()))
+    count, chart = components(faces, len(uv))
+    chart_of = _charts_of(points, corners, origin, positions, faces)
+    level = _carried(points, corners, origin, chart_of, first, faces)
+    # Charts of an atlas as it was given may be mirrored.
+    side = np.sign(np.bincount(chart, signed_areas(uv, faces), count))
+    flipped = _unflipped(level["uv"], corners, origin < 0, side[chart_of])
     if flipped:
         return {}, f"{flipped} triangles lie upside down in the atlas"
     return {**level, "faces": corners}, None
@@ -152,8 +159,37 @@ def _origins(
     return origin if same else None
 
 
+def _charts_of(
+    points: Array, corners: Array, origin: Array, positions: Array, faces: Array
+) -> Array:
+    """(k,) the chart of the first mesh that each face lies on: the one whose border it has, or the
+    nearest other one where there is no border."""
+    import igl
+
+    _, old = components(faces, len(positions))
+    count, new = components(corners, len(points))
+    known = origin[corners] >= 0
+    old_of = np.zeros(len(positions), np.int64)
+    old_of[faces] = old[:, None]
+    chart_of = np.full(count, -1)
+    chart_of[np.repeat(new, 3)[known.ravel()]] = old_of[origin[corners[known]]]
+    closed, first = np.unique(new, return_index=True)
+    closed, first = closed[chart_of < 0], first[chart_of < 0]
+    if len(closed):
+        left = ~np.isin(old, chart_of)
+        start = points[corners[first, 0]]
+        _, near, _ = igl.point_mesh_squared_distance(start, positions, faces[left])
+        chart_of[closed] = old[left][near]
+    return np.asarray(chart_of[new])
+
+
 def _carried(
-    points: Array, corners: Array, origin: Array, first: dict[str, Array], faces: Array
+    points: Array,
+    corners: Array,
+    origin: Array,
+    chart_of: Array,
+    first: dict[str, Array],
+    faces: Array,
 ) -> dict[str, Array]:
     """Values of the first mesh: of the same vertex on borders, of the nearest point of the same
     chart inside."""
@@ -166,15 +202,13 @@ def _carried(
         level[key] = np.zeros((len(points), first[key].shape[1]))
         level[key][known] = first[key][origin[known]]
     _, old = components(faces, len(first["uv"]))
-    count, new = components(corners, len(points))
-    old_of, new_of = np.full(len(first["uv"]), -1), np.full(len(points), -1)
-    old_of[faces], new_of[corners] = old[:, None], new[:, None]
-    for chart in range(count):
+    new_of = np.full(len(points), -1)
+    new_of[corners] = chart_of[:, None]
+    for chart in np.unique(chart_of):
         inner = np.flatnonzero((new_of == chart) & ~known)
-        outline = np.flatnonzero((new_of == chart) & known)
         if not len(inner):
             continue
-        mine = faces[old == old_of[origin[outline[0]]]]
+        mine = faces[old == chart]
         _, face, closest = igl.point_mesh_squared_distance(
             points[inner], first["positions_mm"], mine
         )
@@ -195,16 +229,17 @@ def _orthonormal(level: dict[str, Array]) -> dict[str, Array]:
     return {**level, "normals": normal, "tangents": np.concatenate([tangent, side], axis=1)}
 
 
-def _unflipped(uv: Array, faces: Array, inner: Array, side: float) -> int:
+def _unflipped(uv: Array, faces: Array, inner: Array, side: Array) -> int:
     """Move the inner corners of triangles that lie upside down, in place, until none does; how many
-    such triangles stay. To their neighbours' mean, or to where their ring is widest."""
+    such triangles stay. To their neighbours' mean, or to where their ring is widest. The upper side
+    of each is in `side` (m,): 1, -1, or 0 in a chart without area, where none can turn over."""
     edges = edges_of(faces).pairs
     ones = np.ones(2 * len(edges))
     ends = np.concatenate([edges, edges[:, ::-1]])
     around = sparse.coo_matrix((ones, ends.T), shape=(len(uv), len(uv))).tocsr()
     degree = np.maximum(np.asarray(around.sum(axis=1)), 1.0)
     for rings in SWEEPS:
-        wrong = np.flatnonzero(side * signed_areas(uv, faces) <= 0.0)
+        wrong = _upside_down(uv, faces, side)
         if not len(wrong):
             return 0
         corners = np.unique(faces[wrong])
@@ -215,8 +250,13 @@ def _unflipped(uv: Array, faces: Array, inner: Array, side: float) -> int:
             uv[corners] = (around[corners] @ uv) / degree[corners]
             continue
         for corner in corners[:MOST_MOVED]:
-            uv[corner] = _widest(uv, faces[(faces == corner).any(axis=1)], corner, side)
-    return int((side * signed_areas(uv, faces) <= 0.0).sum())
+            ring = np.flatnonzero((faces == corner).any(axis=1))
+            uv[corner] = _widest(uv, faces[ring], corner, float(side[ring[0]]))
+    return len(_upside_down(uv, faces, side))
+
+
+def _upside_down(uv: Array, faces: Array, side: Array) -> Array:
+    return np.flatnonzero((side * signed_areas(uv, faces) <= 0.0) & (side != 0.0))
 
 
 def _widest(uv: Array, ring: Array, vertex: int, side: float) -> Array:

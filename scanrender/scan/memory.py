@@ -33,3 +33,12 @@ def limit_memory(most_mib: int | None = None) -> None:
         limit = min(limits)
         with contextlib.suppress(OSError, ValueError):
             resource.setrlimit(resource.RLIMIT_DATA, (limit, limit if most_mib else hard))
+
+
+def limit_is_stated() -> bool:
+    """Whether `limit_memory` was told one in this process or in one that started it."""
+    try:
+        import resource
+    except ImportError:
+        return False
+    return resource.getrlimit(resource.RLIMIT_DATA)[1] != resource.RLIM_INFINITY

@@ -278,10 +278,15 @@ def _levels_of_detail(
         levels = []
         for mesh, slide in zip(meshes, slides, strict=True):
             positions, faces = mesh.positions_mm.astype(np.float64), mesh.faces.astype(np.int64)
-            away = surface_distance(high.target, positions, faces)["symmetric_mm"]
-            levels.append(
-                {"triangles": len(faces), "error_mm": away["p99"], "texture_slide_mm": slide}
-            )
+            error = surface_distance(high.target, positions, faces)["symmetric_mm"]["p99"]
+            levels.append({"triangles": len(faces), "error_mm": error, "texture_slide_mm": slide})
+            edge = float(np.sqrt(face_areas(positions, faces).sum() / len(faces)))
+            if error > edge:  # a surface sampled that coarsely strays by a fraction of it
+                journal.warnings.append(
+                    f"the level of detail of {len(faces)} triangles is up to {error:.2f} mm from "
+                    f"the raw surface, more than its edges' {edge:.2f} mm: do not use it, and "
+                    "raise its number in prep.simplify.lods"
+                )
         return meshes, levels
 
 

@@ -15,6 +15,8 @@ from scanrender.scan.header import check_header, named
 from scanrender.settings.prep import PrepSettings
 from scanrender.settings.scan import ScanSettings
 
+GRACE_S = 5.0  # a child within a stage may have the stage's timeout, and begins later
+
 
 def prepare(
     path: Path | str,
@@ -49,7 +51,8 @@ def prepare(
         }
         (child.folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
         try:
-            child.run(prep.timeout_s, progress)
+            limited = prep.memory_mib is not None
+            child.run(prep.timeout_s, progress, GRACE_S, limited)
         except ScanError as error:
             raise named(error, path) from error
         for file in inner.iterdir():

@@ -47,8 +47,10 @@ class Seams:
         self._stamp: dict[int, int] = defaultdict(int)
 
     def thinned(self, share: float) -> Array:
-        """Faces (k, 3) after all but about `share` of the places along borders are gone."""
-        goal = int(share * len(self._copies))
+        """Faces (k, 3) after all but about `share` of the places along borders that may go are
+        gone: were those that stay counted too, a border with many would lose all the others."""
+        fixed = sum(not self._ends(place) for place in self._copies)
+        goal = fixed + int(share * (len(self._copies) - fixed))
         heap: list[tuple[float, int, int]] = []
         for place in self._copies:
             self._push(heap, place)

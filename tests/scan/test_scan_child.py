@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -60,6 +62,28 @@ def test_a_hanging_copy_is_stopped_and_an_idle_one_ends():
         assert idle.poll() is None
     assert idle.returncode is not None
     assert time.monotonic() - start < 15.0
+
+
+def test_stages_that_take_turns_to_be_announced_do_not_run_for_ever():
+    """Each has its own deadline, from when it was first announced."""
+    program = (
+        "import time\n"
+        "for turn in range(200):\n"
+        """    print('{"stage": "%s"}' % "ab"[turn % 2], flush=True)\n"""
+        "    time.sleep(0.05)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as process:
+        with pytest.raises(StageError, match=r"'[ab]' took longer than 0.5 s"):
+            child._follow(process, "a", 0.5, 0.0, None)
+        process.kill()
+
+
+def test_grace_lets_an_inner_child_end_first():
+    with child.child_for("fail") as one:
+        (one.folder / "in").mkdir()
+        (one.folder / "params.json").write_text('{"how": "hang", "seconds": 1.0}')
+        one.run(0.5, grace_s=60.0)
+        assert (one.folder / "report.json").exists()
 
 
 def test_room_changes_no_collapse():

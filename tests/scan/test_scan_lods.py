@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,10 +14,13 @@ from scanrender.asset import Mesh, load_asset, save_asset
 from scanrender.errors import ScanError, StageError
 from scanrender.phantom import make_head
 from scanrender.scan import levels as module
+from scanrender.scan import lods, pipeline
+from scanrender.scan.journal import Journal
 from scanrender.scan.levels import make_lods
-from scanrender.scan.lods import _unflipped, _widest
-from scanrender.scan.lost import sample_hits
+from scanrender.scan.lods import _unflipped, _widest, lods_task
+from scanrender.scan.lost import sample_hits, surface_distance
 from scanrender.scan.mend import drop_pockets, plain_surface
+from scanrender.scan.pipeline import NOTABLE_MM
 from scanrender.scan.prepare import prepare
 from scanrender.scan.rays import Target
 from scanrender.scan.seams import Seams
@@ -24,7 +28,7 @@ from scanrender.scan.segment import segment
 from scanrender.scan.simplify import simplify
 from scanrender.scan.tangents import vertex_tangents
 from scanrender.scan.topology import components, edges_of, vertex_normals
-from scanrender.scan.unwrap import unwrap
+from scanrender.scan.unwrap import _joined, unwrap
 from scanrender.settings.prep import PrepSettings, SimplifySettings, UnwrapSettings
 from scanrender.settings.scan import ScanSettings
 
@@ -55,6 +59,24 @@ def welded(mesh):
 def signed(mesh):
     a, b, c = (mesh.uv[mesh.faces[:, k]].astype(float) for k in range(3))
     return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+
+
+def split_mesh(positions, faces, corner_uv, chart):
+    """What an atlas as it is gives the child: split by chart and texture coordinates (top left)."""
+    cut = _joined(faces, chart, np.stack([corner_uv[..., 0], 1.0 - corner_uv[..., 1]], axis=2))
+    normals = vertex_normals(positions, faces)[cut.source].astype(np.float32)
+    split, uv = positions[cut.source].astype(np.float32), cut.uv.astype(np.float32)
+    tangents = vertex_tangents(split, cut.faces, normals, uv)
+    names = ("positions_mm", "normals", "tangents", "uv", "faces")
+    return dict(zip(names, (split, normals, tangents, uv, cut.faces), strict=True))
+
+
+def mirrored_sphere():
+    """A sphere whose southern half is a chart of its own and mirrored."""
+    positions, faces, uv = sphere(100.0, 20, 40)
+    chart = (positions[faces].mean(axis=1)[:, 1] < 0.0).astype(int)
+    uv[chart == 1, :, 0] = 1.0 - uv[chart == 1, :, 0]
+    return positions, faces, uv, chart
 
 
 def test_finest_first_and_near_their_size(made):
@@ -151,6 +173,80 @@ def test_borders_are_thinned_alike_on_both_sides():
     assert Seams(points, uv, split, place).thinned(1.0).shape == split.shape
 
 
+def test_a_long_seam_keeps_its_shape_where_most_border_places_must_stay():
+    """At the poles of this sphere each place of the border is a tip of several corners."""
+    positions, faces, uv = sphere(100.0, 20, 40)
+    arrays = split_mesh(positions, faces, uv, np.zeros(len(faces), int))
+    result, report = lods_task(arrays, {"targets": [700]})
+    assert not report["problems"]
+    away = surface_distance(Target(positions, faces), result["1_positions_mm"], result["1_faces"])
+    assert away["symmetric_mm"]["p99"] < 1.0
+
+
+def test_a_level_further_from_the_scan_than_its_edges_are_long_is_warned_of(monkeypatch):
+    positions, faces, _ = sphere(100.0, 20, 40)
+    raw = SimpleNamespace(target=Target(positions, faces))
+    coarse, corners, uv = sphere(98.0, 10, 20)
+    sound = Mesh(**split_mesh(coarse, corners, uv, np.zeros(len(corners), int)))
+    dented = sound.positions_mm.copy()
+    dented[dented[:, 0] > 60.0, 0] = 60.0
+    dent = replace(sound, positions_mm=dented)
+    monkeypatch.setattr(pipeline, "make_lods", lambda *_: ([sound, dent], [0.0, 0.0], []))
+    journal, settings = Journal(None), PrepSettings(simplify=SimplifySettings(lods=[500]))
+    _, levels = pipeline._levels_of_detail(raw, SimpleNamespace(mesh=None), settings, journal)
+    [warning] = journal.warnings
+    assert warning.startswith("the level of detail of 360 triangles is up to")
+    assert f"{levels[1]['error_mm']:.2f} mm" in warning
+    assert levels[0]["error_mm"] > NOTABLE_MM, "a coarse level strays by that, and is sound"
+
+
+def test_a_mirrored_chart_stays_mirrored():
+    positions, faces, uv, chart = mirrored_sphere()
+    arrays = split_mesh(positions, faces, uv, chart)
+    result, report = lods_task(arrays, {"targets": [700]})
+    assert not report["problems"]
+    level = Mesh(**{key: result[f"1_{key}"] for key in arrays})
+    south = level.positions_mm[level.faces].mean(axis=1)[:, 1] < 0.0
+    area = signed(level)
+    assert (area[south] < 0.0).all() or (area[south] > 0.0).all()
+    assert (area[~south] * area[south][0] < 0.0).all()
+    assert (level.tangents[:, 3] != level.tangents[0, 3]).any()
+
+
+def test_a_closed_piece_on_one_texel_costs_no_level():
+    positions, faces, uv = sphere(100.0, 20, 40)
+    small, corners, _ = sphere(20.0, 6, 12)
+    both = np.concatenate([positions, small + np.array([0.0, 0.0, 130.0])])
+    all_faces = np.concatenate([faces, corners + len(positions)])
+    coordinates = np.concatenate([uv, np.full((len(corners), 3, 2), 0.25)])
+    chart = (np.arange(len(all_faces)) >= len(faces)).astype(int)
+    arrays = split_mesh(both, all_faces, coordinates, chart)
+    result, report = lods_task(arrays, {"targets": [1000]})
+    assert not report["problems"]
+    assert np.isfinite(report["slide_mm"]["1"])
+    eye = result["1_positions_mm"][:, 2] > 105.0
+    assert eye.sum() > 10
+    np.testing.assert_allclose(result["1_uv"][eye], [[0.25, 0.25]] * eye.sum(), atol=1e-6)
+    assert np.linalg.norm(result["1_normals"][eye], axis=1) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_one_failing_level_leaves_the_others(monkeypatch):
+    positions, faces, uv = sphere(100.0, 20, 40)
+    arrays = split_mesh(positions, faces, uv, np.zeros(len(faces), int))
+    made = lods.coarser
+
+    def failing(first, faces, target):
+        if target == 1000:
+            raise IndexError("no border")
+        return made(first, faces, target)
+
+    monkeypatch.setattr(lods, "coarser", failing)
+    result, report = lods_task(arrays, {"targets": [1000, 700]})
+    assert report["problems"] == ["1000 triangles: IndexError: no border"]
+    assert list(report["slide_mm"]) == ["2"]
+    assert len(result["2_faces"]) == pytest.approx(700, rel=0.05)
+
+
 def test_a_pocket_that_hangs_by_an_edge_is_dropped():
     positions, faces, _ = sphere(50.0)
     # A tetrahedron on the edge of the first face.
@@ -173,7 +269,7 @@ def test_the_widest_place_of_a_ring_is_its_centre():
     outside = uv.copy()
     outside[0] = [3.0, 1.0]
     inner = np.arange(7) == 0
-    assert _unflipped(outside, ring, inner, 1.0) == 0
+    assert _unflipped(outside, ring, inner, np.ones(6)) == 0
     assert np.linalg.norm(outside[0]) < 1.0
     np.testing.assert_array_equal(outside[1:], uv[1:])
 

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 
 import pytest
+from scan_shapes import sphere, write_ply
+
+from scanrender.errors import CrashError
+from scanrender.scan import child
+from scanrender.scan.memory import OUT_OF_MEMORY
+from scanrender.scan.prepare import prepare
+from scanrender.settings.prep import PrepSettings
+from scanrender.settings.scan import ScanSettings
 
 pytest.importorskip("resource", reason="this system has no such limits")
 
@@ -26,6 +35,62 @@ def test_children_cannot_lift_a_stated_limit():
         [sys.executable, "-c", NESTED, "50", "600"], capture_output=True, text=True, check=True
     )
     assert done.stdout.splitlines() == ["0 False", "1 True"]
+
+
+CRASH = """
+from scanrender.errors import StageError
+from scanrender.scan.child import child_for, run_task
+from scanrender.scan.memory import limit_memory
+def said(run):
+    try:
+        run()
+    except StageError as error:
+        print(error.what, error.fix, sep=" | ")
+def stated(how):
+    with child_for("fail") as one:
+        (one.folder / "in").mkdir()
+        (one.folder / "params.json").write_text('{"how": "%s"}' % how)
+        one.run(30.0, limited=True)
+said(lambda: run_task("fail", {}, {"how": "SIGSEGV"}, 30.0))
+said(lambda: stated("SIGABRT"))
+said(lambda: stated("SIGTERM"))
+limit_memory(1000)
+said(lambda: run_task("fail", {}, {"how": "SIGSEGV"}, 30.0))
+"""
+
+
+def test_a_crash_under_a_stated_limit_may_be_a_failed_allocation():
+    done = subprocess.run([sys.executable, "-c", CRASH], capture_output=True, text=True, check=True)
+    perhaps = f"perhaps because memory ran out | {OUT_OF_MEMORY}"
+    assert done.stdout.splitlines() == [
+        "the stage 'fail' crashed (SIGSEGV) | None",
+        f"the stage 'fail' crashed (SIGABRT), {perhaps}",
+        "the stage 'fail' crashed (SIGTERM) | None",
+        f"the stage 'fail' crashed (SIGSEGV), {perhaps}",
+    ]
+
+
+@pytest.mark.parametrize(("mib", "fix"), [(4000, OUT_OF_MEMORY), (None, None)])
+def test_so_may_that_of_a_preparation_with_memory_mib(mib, fix, tmp_path, monkeypatch):
+    positions, faces, _ = sphere(100.0, 6, 12)
+    scan = write_ply(tmp_path / "a.ply", positions, faces)
+    started = []
+    popen = subprocess.Popen
+
+    def remember(*arguments, **keywords):
+        started.append(popen(*arguments, **keywords))
+        return started[-1]
+
+    monkeypatch.setattr(child.subprocess, "Popen", remember)
+
+    def crash(stage, _):
+        if stage == "ingest":
+            started[0].send_signal(signal.SIGSEGV)
+
+    settings = PrepSettings(memory_mib=mib)
+    with pytest.raises(CrashError, match=r"crashed \(SIGSEGV\)") as caught:
+        prepare(scan, ScanSettings(), settings, tmp_path / "out", progress=crash)
+    assert caught.value.fix == fix
 
 
 LARGE_PARENT = """
