@@ -23,6 +23,7 @@ HEAD_TYPICAL_MM = 240.0
 ASSUMED_MM = 320.0  # head with neck, when nothing else can be said
 TURN_DEG = 15.0  # a face that looks further than this past an axis is turned onto it
 _FLAT = 0.02
+_NO_HEIGHT = 1e-6  # of the largest extent: rounding
 _BASE = 0.2  # the lowest part of a bust, where the rim of its base lies even when it is tilted
 # An axis, the reason, and the confidence: stated, high, medium or low.
 _Verdict = tuple[str, str, str]
@@ -64,7 +65,7 @@ def find_frame(
 ) -> Frame:
     """Decide from the settings, the file format, and the mesh without its floaters.
 
-    Raises ConfigError when the stated axes do not make a frame.
+    Raises ConfigError when the stated axes do not make a frame, or the stated height no scale.
     """
     up = _up_axis(raw, positions, faces, settings)
     front, past, head = _front(raw, positions, faces, up, settings)
@@ -128,6 +129,12 @@ def _units(
         return {"mm_per_unit": float(mm), "reason": reason, "confidence": confidence}
 
     if settings.height_mm is not None:
+        if size[1] <= _NO_HEIGHT * size.max():
+            raise ConfigError(
+                "scan.height_mm cannot give the scale: the scan has no height along its up axis",
+                "scan.height_mm",
+                "state scan.units instead, or another scan.up",
+            )
         return verdict(
             settings.height_mm / float(size[1]), "scan.height_mm states the height", "stated"
         )

@@ -205,6 +205,15 @@ def test_units(size, settings, mm, confidence):
     assert frame.units["reason"]
 
 
+def test_the_height_of_a_sheet_that_has_none_is_no_scale():
+    positions, faces = grid(lambda x, y: 0.0 * x, side=3)
+    flat, stated = RawMesh(positions[:, [0, 2, 1]], faces), ScanSettings(height_mm=200.0, up="+y")
+    with pytest.raises(ConfigError, match="has no height along its up axis"):
+        find_frame(flat, flat.positions, flat.faces, stated)
+    upright = find_frame(flat, positions, faces, stated)
+    assert upright.mm_per_unit == pytest.approx(5.0)
+
+
 def test_far_away_scans_are_recentred_without_loss():
     positions, faces, _ = sphere(150.0)
     far = positions + np.array([4.4e5, 5.3e6, 120.0])
