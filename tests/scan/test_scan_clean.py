@@ -350,9 +350,9 @@ def test_clean_counts_each_step():
     counts = {step["step"]: step["faces"] for step in cleaned.steps}
     n = len(faces)
     assert list(counts) == [
-        "weld", "drop degenerate faces", "drop duplicate faces", "drop extra faces at edges",
-        "split vertices between fans", "drop unused vertices", "orient", "drop floaters",
-        "flatten spikes", "fill holes", "drop what filling left over",
+        "drop outliers", "weld", "drop degenerate faces", "drop duplicate faces",
+        "drop extra faces at edges", "split vertices between fans", "drop unused vertices",
+        "orient", "drop floaters", "flatten spikes", "fill holes", "drop what filling left over",
     ]  # fmt: skip
     assert counts["weld"] == [n + 18, n + 18]  # each step is counted, also where nothing changes
     assert counts["drop degenerate faces"] == [n + 18, n + 17]
