@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 import sys
 
 import click
@@ -78,6 +79,9 @@ def cli() -> None:
 def main() -> None:
     """Run the command line and exit with its documented code."""
     debug = "--debug" in sys.argv
+    # Names of files may hold bytes that are no text: shown with a mark, as stderr does.
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         code = cli.main(standalone_mode=False)
     except click.exceptions.Exit as stop:

@@ -14,6 +14,7 @@ from scanrender.scan.frame import Frame, find_frame
 from scanrender.scan.holes import fill_holes
 from scanrender.scan.neck import close_neck
 from scanrender.scan.orient import orient
+from scanrender.scan.outliers import drop_outliers
 from scanrender.scan.parallel import Aside
 from scanrender.scan.raw import RawMesh
 from scanrender.scan.repair import drop_extra_faces, split_vertices
@@ -80,13 +81,14 @@ def nothing_left(step: str) -> ScanError:
 
 
 def clean(raw: RawMesh, scan: ScanSettings, settings: CleanSettings) -> Cleaned:
-    """Weld, drop what is invalid, repair, orient, drop floaters, fill small holes.
+    """Drop outliers, weld, drop what is invalid, repair, orient, drop floaters, fill small holes.
 
     What does not depend on the unit comes first; the unit is inferred from the large pieces alone,
     because floaters would falsify the size. Raises ScanError when nothing is left.
     """
     steps = _Steps(surface_from_raw(raw))
     fraction = settings.floater_fraction
+    steps.apply("drop outliers", drop_outliers)
     steps.apply("weld", weld)
     steps.apply("drop degenerate faces", drop_degenerate)
     steps.apply("drop duplicate faces", drop_duplicates)

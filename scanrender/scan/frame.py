@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from scanrender.errors import ConfigError
 from scanrender.scan.facing import find_facing, spread_samples
+from scanrender.scan.outliers import bulk_extent
 from scanrender.scan.raw import RawMesh
 from scanrender.scan.topology import edges_of, extent, span, used_vertices
 from scanrender.settings.scan import ScanSettings
@@ -23,6 +24,8 @@ HEAD_TYPICAL_MM = 240.0
 ASSUMED_MM = 320.0  # head with neck, when nothing else can be said
 TURN_DEG = 15.0  # a face that looks further than this past an axis is turned onto it
 _FLAT = 0.02
+_BULK = 5.0  # times the size of nearly all vertices: more is a size that a few of them make
+_NO_HEIGHT = 1e-6  # of the largest extent: rounding
 _BASE = 0.2  # the lowest part of a bust, where the rim of its base lies even when it is tilted
 # An axis, the reason, and the confidence: stated, high, medium or low.
 _Verdict = tuple[str, str, str]
@@ -64,7 +67,7 @@ def find_frame(
 ) -> Frame:
     """Decide from the settings, the file format, and the mesh without its floaters.
 
-    Raises ConfigError when the stated axes do not make a frame.
+    Raises ConfigError when the stated axes do not make a frame, or the stated height no scale.
     """
     up = _up_axis(raw, positions, faces, settings)
     front, past, head = _front(raw, positions, faces, up, settings)
@@ -79,7 +82,9 @@ def find_frame(
     rotation = np.stack([np.cross(vertical, forward), vertical, forward])
     used = _used(positions, faces)
     low, high = extent(used)
-    units = _units(raw, span(used @ rotation.T), head, settings)
+    bulk_low, bulk_high = bulk_extent(used)
+    is_doubtful = float((high - low).max()) > _BULK * float((bulk_high - bulk_low).max())
+    units = _units(raw, span(used @ rotation.T), head, is_doubtful, settings)
     axes = {
         "up": up[0],
         "up_reason": up[1],
@@ -120,14 +125,25 @@ def _name(axis: int, sign: float) -> str:
 
 
 def _units(
-    raw: RawMesh, size: npt.NDArray[np.float64], head: float | None, settings: ScanSettings
+    raw: RawMesh,
+    size: npt.NDArray[np.float64],
+    head: float | None,
+    is_doubtful: bool,
+    settings: ScanSettings,
 ) -> dict[str, Any]:
-    """size (3,): across, up and forward; head: neck to crown, where known; in scan units."""
+    """size (3,): across, up and forward; head: neck to crown, where known; in scan units.
+    is_doubtful: a few vertices alone make the size."""
 
     def verdict(mm: float, reason: str, confidence: str) -> dict[str, Any]:
         return {"mm_per_unit": float(mm), "reason": reason, "confidence": confidence}
 
     if settings.height_mm is not None:
+        if size[1] <= _NO_HEIGHT * size.max():
+            raise ConfigError(
+                "scan.height_mm cannot give the scale: the scan has no height along its up axis",
+                "scan.height_mm",
+                "state scan.units instead, or another scan.up",
+            )
         return verdict(
             settings.height_mm / float(size[1]), "scan.height_mm states the height", "stated"
         )
@@ -146,6 +162,9 @@ def _units(
             continue
         if kind is not None:
             reason = f"read as {unit}, the size is a {kind}'s: {size_mm:.0f} mm"
+            if is_doubtful:
+                reason += ", but nearly all of its vertices lie in a small part of that"
+                confidence = "low"
             if raw.mm_hint is not None:
                 reason = f"in metres, as the file format says, it is {largest:.4g} m; {reason}"
                 confidence = "low"

@@ -41,7 +41,7 @@ def read_scan(path: Path | str, settings: ScanSettings | None = None) -> RawMesh
     check_header(path)
     reader = _reader(path.suffix.lower())
     try:
-        raw = reader(path)
+        return _validated(reader(path), path)
     except ScanError:
         raise
     except MemoryError as error:
@@ -58,7 +58,6 @@ def read_scan(path: Path | str, settings: ScanSettings | None = None) -> RawMesh
             f"{path} ({said})",
             "export it again from the scanning software",
         ) from error
-    return _validated(raw, path)
 
 
 def _reader(suffix: str) -> Callable[[Path], RawMesh]:

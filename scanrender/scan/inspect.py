@@ -15,6 +15,7 @@ from scanrender.scan.header import named
 from scanrender.scan.ingest import read_scan
 from scanrender.scan.memory import OUT_OF_MEMORY
 from scanrender.scan.orient import orient
+from scanrender.scan.outliers import FAR, drop_outliers
 from scanrender.scan.raw import RawMesh
 from scanrender.scan.surface import surface_from_raw
 from scanrender.scan.topology import components, edges_of, face_areas, used_vertices
@@ -38,7 +39,11 @@ def inspect_scan(path: Path | str, settings: ScanSettings | None = None) -> dict
 
 
 def _health(raw: RawMesh, path: Path, settings: ScanSettings) -> dict[str, Any]:
-    welded = weld(surface_from_raw(raw))
+    surface = drop_outliers(surface_from_raw(raw))
+    notes = list(raw.notes)
+    if outliers := len(raw.faces) - len(surface.faces):
+        notes.append(f"{outliers} faces lead to vertices {FAR:.0f} times its size away: dropped")
+    welded = weld(surface)
     sound = drop_degenerate(welded)
     if not len(sound.faces):
         raise named(nothing_left("drop degenerate faces"), path)
@@ -69,7 +74,7 @@ def _health(raw: RawMesh, path: Path, settings: ScanSettings) -> dict[str, Any]:
         "watertight": bool((edges.count == 2).all()),
         "color": raw.color_source,
         "pages": _pages(raw),
-        "notes": list(raw.notes),
+        "notes": notes,
         "warnings": list(frame.warnings),
     }
 

@@ -43,6 +43,8 @@ _COLOR_NAMES = (
 )
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("s0", "t0"), ("u0", "v0"))
 _WHITE = {"u1": 255.0, "i1": 255.0, "u2": 65535.0, "i2": 65535.0, "u4": 255.0, "i4": 255.0}
+_SINGLE = {"x", "y", "z", "texnumber"}.union(*_COLOR_NAMES, *_UV_NAMES)  # never lists
+_LONGEST_LINE = 10_000  # bytes of a header
 Array = npt.NDArray[Any]
 
 
@@ -60,12 +62,12 @@ def read_ply(path: Path) -> RawMesh:
         order = header.order
         reader = BinaryRows(stream, path, order) if order else AsciiRows(stream, path)
         tables = {element.name: reader.element(element) for element in header.elements}
-    vertex = tables.get("vertex", {})
+    notes: list[str] = []
+    vertex = _singles(tables.get("vertex", {}), "vertices", notes)
     if not all(axis in vertex for axis in "xyz"):
         raise ScanError(f"{path.name} has no vertex positions", str(path), "export it again")
     positions = np.stack([vertex[axis] for axis in "xyz"], axis=1).astype(np.float64)
-    notes: list[str] = []
-    faces, corner_uv, polygon_of = _faces(tables, vertex, positions)
+    faces, corner_uv, polygon_of = _faces(tables, vertex, positions, notes)
     face_table = tables.get("face", {})
     if face_table and _index_list(face_table) is None and not len(faces):
         raise ScanError(
@@ -73,16 +75,17 @@ def read_ply(path: Path) -> RawMesh:
             str(path),
             "export it again as a mesh",
         )
+    of_face = _singles(face_table, "faces", notes)
     textures = header.textures
     if not textures and corner_uv is not None and (image := lone_image(path)) is not None:
         notes.append(f"the file names no texture: {image.name}, beside the scan, is used")
         textures = [image.name]
     pages, index = _pages(path, textures, notes)
-    page = _page_of(index, face_table, polygon_of, len(faces))
+    page = _page_of(index, of_face, polygon_of, len(faces))
     white = {element.name: _white(element) for element in header.elements}
-    colors = _colors(vertex, white["vertex"], notes)
+    colors = _colors(vertex, white["vertex"], "vertices", notes)
     if colors is None and len(polygon_of) == len(faces):
-        shades = _colors(face_table, white.get("face"), notes)
+        shades = _colors(of_face, white.get("face"), "faces", notes)
         colors = _from_faces(shades, polygon_of, faces, len(positions), notes)
     return RawMesh(
         positions, faces, corner_uv, page, pages, (None,) * len(pages), colors, tuple(notes)
@@ -91,8 +94,11 @@ def read_ply(path: Path) -> RawMesh:
 
 def _header(stream: BinaryIO, path: Path) -> _Header:
     order, elements, textures = None, [], []
+    head = stream.read(5)
+    stream.seek(0)
+    old_mac = head[3:4] == b"\r" and head[4:] != b"\n"
     for _ in range(10_000):
-        line = stream.readline()
+        line = _old_mac_line(stream) if old_mac else stream.readline()
         words = line.decode("ascii", "replace").split()
         if not line or words == ["end_header"]:
             break
@@ -113,6 +119,13 @@ def _header(stream: BinaryIO, path: Path) -> _Header:
     return _Header(order, elements, textures)
 
 
+def _old_mac_line(stream: BinaryIO) -> bytes:
+    line = bytearray()
+    while (byte := stream.read(1)) and byte != b"\r" and len(line) < _LONGEST_LINE:
+        line += byte
+    return bytes(line + byte)
+
+
 def _property(words: list[str], path: Path) -> Property:
     types = words[2:4] if words[1] == "list" else words[1:2]
     for unknown in (word for word in types if word not in _TYPES):
@@ -126,8 +139,24 @@ def _property(words: list[str], path: Path) -> Property:
     return Property(words[2].lower(), _TYPES[types[0]])
 
 
+def _singles(table: dict[str, Any], what: str, notes: list[str]) -> dict[str, Any]:
+    """The columns that hold one value a row; a list where one is expected is noted."""
+    lists = [name for name, column in table.items() if isinstance(column, tuple)]
+    if strange := [name for name in lists if name in _SINGLE]:
+        notes.append(f"{', '.join(strange)} of its {what} are lists, not numbers: not read")
+    return {name: column for name, column in table.items() if name not in lists}
+
+
+def _whole(values: Any) -> npt.NDArray[np.int64]:
+    """As whole numbers; -2, which names nothing, for what is no number or beyond all of them."""
+    values = np.asarray(values)
+    if values.dtype.kind == "f":
+        values = np.where(np.abs(values) < 2.0**62, values, -2.0)
+    return values.astype(np.int64, copy=False)
+
+
 def _faces(
-    tables: dict[str, Any], vertex: dict[str, Any], positions: Array
+    tables: dict[str, Any], vertex: dict[str, Any], positions: Array, notes: list[str]
 ) -> tuple[Array, Array | None, Array]:
     """Triangles, corner UV or None, and the row of `face` that each triangle came from."""
     vertex_uv = _vertex_uv(vertex)
@@ -135,17 +164,19 @@ def _faces(
     indices = _index_list(face)
     if indices is not None and len(indices[0]):
         sizes = np.asarray(indices[0], np.int64)
-        corners = np.asarray(indices[1], np.int64)
+        corners = _whole(indices[1])
+        if _strips(tables) is not None:
+            notes.append("the scan has faces and triangle strips: the strips are not read")
         triangles = polygon_corners(sizes, corners, positions)
         polygon_of = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
         faces = np.take(corners, triangles)
         uv = _corner_uv(face.get("texcoord"), sizes)
         if uv is not None:
             return faces, uv[triangles], polygon_of
-    elif "tristrips" in tables:
-        lengths, strips = next(iter(tables["tristrips"].values()))
+    elif (found := _strips(tables)) is not None:
+        lengths, values = found
         # Rows are strips of their own, and -1 cuts a strip within a row.
-        strips = np.insert(np.asarray(strips, np.int64), np.cumsum(lengths)[:-1], -1)
+        strips = np.insert(_whole(values), np.cumsum(lengths)[:-1], -1)
         strips = np.where(strips == 0xFFFFFFFF, -1, strips)
         faces, polygon_of = strip_faces(strips), np.zeros(0, np.int64)
     else:
@@ -154,6 +185,11 @@ def _faces(
         return faces, None, polygon_of
     # Faces that name no vertex are dropped by `ingest`: any coordinate will do for them.
     return faces, vertex_uv[np.clip(faces, 0, len(vertex_uv) - 1)], polygon_of
+
+
+def _strips(tables: dict[str, Any]) -> ListColumn | None:
+    lists = [x for x in tables.get("tristrips", {}).values() if isinstance(x, tuple)]
+    return lists[0] if lists and len(lists[0][1]) else None
 
 
 def _index_list(face: dict[str, Any]) -> ListColumn | None:
@@ -193,14 +229,14 @@ def _white(element: Element) -> float | None:
 
 
 def _colors(
-    table: dict[str, Any], white: float | None, notes: list[str]
+    table: dict[str, Any], white: float | None, what: str, notes: list[str]
 ) -> npt.NDArray[np.float32] | None:
     for names in _COLOR_NAMES:
         if all(name in table for name in names):
             stored = np.stack([np.asarray(table[name]) for name in names], axis=1)
             if white == 65535.0 and stored.max(initial=0) <= 255:  # bytes in wider numbers
                 white = 255.0
-            return colors_from_stored(stored, white, notes)
+            return colors_from_stored(stored, white, notes, what)
     return None
 
 
@@ -208,7 +244,7 @@ def _from_faces(
     shades: Array | None, polygon_of: Array, faces: Array, vertex_count: int, notes: list[str]
 ) -> npt.NDArray[np.float32] | None:
     """Colours of polygons, averaged onto the vertices around."""
-    if shades is None or not len(faces) or faces.min() < 0 or faces.max() >= vertex_count:
+    if shades is None or not len(faces):
         return None
     notes.append("the scan is coloured per face: averaged onto its vertices")
     return onto_vertices(shades[polygon_of], faces, vertex_count)
@@ -234,6 +270,6 @@ def _page_of(
     """The page (count,) of each triangle; without texnumber all have the first texture."""
     if len(index) < 2 or "texnumber" not in face_table or not len(polygon_of):
         return np.full(count, index[0], np.int16)
-    number = np.asarray(face_table["texnumber"])[polygon_of].astype(np.int64)
+    number = _whole(face_table["texnumber"])[polygon_of]
     known = (number >= 0) & (number < len(index))
     return np.where(known, index[np.where(known, number, 0)], NO_PAGE).astype(np.int16)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 from pathlib import Path
 from typing import Any
@@ -10,15 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.errors import ScanError
-from scanrender.images import linear_from_srgb
 from scanrender.scan.raw import RawMesh
 from scanrender.scan.triangulate import onto_vertices, polygon_corners
 from scanrender.scan.vertex_colors import colors_from_stored
 from scanrender.scan.words import floats, integers
 
-_NUMBER = rb"[-+0-9.eEnaifNAIF]+"
+_NUMBER = rb"[-+0-9.eEnaifNAIF]+(?:#\w+)?"  # -1.#IND: how Windows once wrote NaN
 _VERTEX = re.compile(rb"vertex\s+(%b)\s+(%b)\s+(%b)" % (_NUMBER, _NUMBER, _NUMBER), re.IGNORECASE)
-_VERTEX_WORD = re.compile(rb"^\s*vertex\b", re.IGNORECASE | re.MULTILINE)
+_STEP = re.compile(rb"^\s*(vertex|endloop)\b", re.IGNORECASE | re.MULTILINE)
 _OFF = re.compile(rb"([A-Z0-9]*OFF)(\d*)$", re.IGNORECASE)
 _RECORD = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("attribute", "<u2")])
 Array = npt.NDArray[Any]
@@ -33,23 +33,40 @@ def read_stl(path: Path) -> RawMesh:
     count = int(np.frombuffer(data, "<u4", 1, 80)[0]) if len(data) >= 84 else -1
     size = 84 + _RECORD.itemsize * max(count, 0)
     # "solid" also begins many binary files: the size, and facets in words, are better evidence.
-    words = data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:65536].lower()
-    if count >= 0 and len(data) == size:
+    is_whole = count >= 0 and len(data) == size
+    text = b"" if is_whole else _as_ascii(data)
+    solid = text.lstrip()[:5].lower() == b"solid"
+    if is_whole:
         corners, colors = _binary_facets(data, count, notes)
-    elif words:
-        corners = _ascii_corners(data, path)
-    elif data.lstrip()[:5].lower() == b"solid" and b"endsolid" in data.lower():
+    elif solid and b"facet" in text[:65536].lower():
+        corners = _ascii_corners(text, path)
+    elif solid and b"endsolid" in text.lower():
         corners = np.zeros((0, 3, 3))
     elif count >= 0 and len(data) > size > 84:
         corners, colors = _binary_facets(data, count, notes)
     else:
-        raise ScanError(
-            f"{path.name} ends before its {max(count, 0)} triangles do",
-            str(path),
-            "the file was cut short: copy or export it again",
-        )
+        raise _unlike_stl(data, count, path)
     faces = np.arange(3 * len(corners)).reshape(-1, 3)
     return RawMesh(corners.reshape(-1, 3), faces, colors=colors, notes=tuple(notes))
+
+
+def _as_ascii(data: bytes) -> bytes:
+    """Text without its byte order mark, recoded where it is UTF-16; anything else as it is."""
+    if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):  # what PowerShell's `>` writes
+        return data.decode("utf-16", "replace").encode()
+    return data.removeprefix(codecs.BOM_UTF8)
+
+
+def _unlike_stl(data: bytes, count: int, path: Path) -> ScanError:
+    fix = "export it again"
+    if count == 0 and len(data) > 84:
+        what = f"says that it has no triangles, but goes on for {len(data) - 84} bytes"
+    elif count > 0 and b"\0" not in data[:84]:  # the count would be a billion: it is text
+        what = "is neither a binary STL nor one in words"
+    else:
+        what = f"ends before its {max(count, 0)} triangles do"
+        fix = "the file was cut short: copy or export it again"
+    return ScanError(f"{path.name} {what}", str(path), fix)
 
 
 def _binary_facets(data: bytes, count: int, notes: list[str]) -> tuple[Array, Colors]:
@@ -77,16 +94,32 @@ def _binary_facets(data: bytes, count: int, notes: list[str]) -> tuple[Array, Co
 
 def _ascii_corners(data: bytes, path: Path) -> Array:
     found = _VERTEX.findall(data)
-    if len(found) % 3 or len(found) < sum(1 for _ in _VERTEX_WORD.finditer(data)):
+    sizes = _loop_sizes(data, len(found))
+    if sizes is None:
         raise ScanError(f"{path.name} ends inside a triangle", str(path), "export it again")
-    return floats([word for corner in found for word in corner]).reshape(-1, 3, 3)
+    words = [word for corner in found for word in corner]
+    if b"#" in data:
+        words = [b"nan" if b"#" in word else word for word in words]
+    positions = floats(words).reshape(-1, 3)
+    return positions[polygon_corners(sizes, np.arange(len(positions)), positions)]
+
+
+def _loop_sizes(data: bytes, count: int) -> npt.NDArray[np.int64] | None:
+    """Corners of each facet, three by the letter of the format; None where they do not add up."""
+    ends = np.array([word[:1] in b"eE" for word in _STEP.findall(data)], bool)
+    begun = int((~ends).sum())
+    if begun != count or not ends.any():  # fewer: several words on a line
+        return None if begun > count or count % 3 else np.full(count // 3, 3)
+    sizes = np.diff(np.cumsum(~ends)[ends], prepend=0, append=count)
+    sizes = sizes[sizes > 0]
+    return None if sizes.min(initial=3) < 3 else sizes
 
 
 def read_off(path: Path) -> RawMesh:
     """Read OFF, COFF, NOFF, STOFF: vertex lines `x y z [...]`, then `n i j k ... [colour]`."""
     lines = [
         words
-        for line in path.read_bytes().splitlines()
+        for line in _as_ascii(path.read_bytes()).splitlines()
         if (words := line.split(b"#", 1)[0].split())
     ]
     begin = _OFF.match(lines[0][0]) if lines else None
@@ -116,25 +149,26 @@ def read_off(path: Path) -> RawMesh:
     flat = [index for row, n in zip(face_rows, sizes, strict=True) for index in row[1 : n + 1]]
     corners = integers(flat)
     faces = corners[polygon_corners(sizes, corners, positions)]
-    colors, notes = _vertex_colors(kind, rows), []
+    notes: list[str] = []
+    colors = _vertex_colors(kind, rows, notes)
     if colors is None:
-        per_face = _face_colors(face_rows, sizes)
-        if per_face is not None and len(faces) and faces.min() >= 0 and faces.max() < vertices:
+        per_face = _face_colors(face_rows, sizes, notes)
+        if per_face is not None and len(faces):
             notes.append("the scan is coloured per face: averaged onto its vertices")
             polygon_of = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
             colors = onto_vertices(per_face[polygon_of], faces, vertices)
     return RawMesh(positions, faces, colors=colors, notes=tuple(notes))
 
 
-def _vertex_colors(kind: bytes, rows: list[list[bytes]]) -> Colors:
+def _vertex_colors(kind: bytes, rows: list[list[bytes]], notes: list[str]) -> Colors:
     start = 6 if b"N" in kind else 3
     if b"C" not in kind or not rows or min(map(len, rows)) < start + 3:
         return None
     stored = floats([word for row in rows for word in row[start : start + 3]]).reshape(-1, 3)
-    return colors_from_stored(stored, None, [])
+    return colors_from_stored(stored, None, notes)
 
 
-def _face_colors(rows: list[list[bytes]], sizes: npt.NDArray[np.int64]) -> Colors:
+def _face_colors(rows: list[list[bytes]], sizes: npt.NDArray[np.int64], notes: list[str]) -> Colors:
     """`n i j k r g b [a]`: integers up to 255 or floats up to 1; a lone number is a colour map's
     index, which says nothing without the map."""
     tails = [row[n + 1 : n + 4] for row, n in zip(rows, sizes, strict=True)]
@@ -142,4 +176,4 @@ def _face_colors(rows: list[list[bytes]], sizes: npt.NDArray[np.int64]) -> Color
         return None
     stored = floats([word for tail in tails for word in tail]).reshape(-1, 3)
     whole = not any(b"." in value for tail in tails[:64] for value in tail)
-    return np.asarray(linear_from_srgb(stored / (255.0 if whole else 1.0)), np.float32)
+    return colors_from_stored(stored, 255.0 if whole else 1.0, notes, "faces")

@@ -106,7 +106,11 @@ def strip_faces(indices: npt.NDArray[Any], restart: int = -1) -> npt.NDArray[np.
 def onto_vertices(
     per_face: npt.NDArray[Any], faces: npt.NDArray[Any], vertex_count: int
 ) -> npt.NDArray[np.float32]:
-    """Colours (t, 3) of triangles as the mean (n, 3) of those around each vertex."""
+    """Colours (t, 3) of triangles as the mean (n, 3) of those around each vertex; of those that
+    name no vertex nothing."""
+    if len(faces) and (faces.min() < 0 or faces.max() >= vertex_count):
+        there = ((faces >= 0) & (faces < vertex_count)).all(axis=1)
+        per_face, faces = per_face[there], faces[there]
     flat = faces.reshape(-1)
     count = np.maximum(np.bincount(flat, minlength=vertex_count), 1)
     per_corner = np.repeat(per_face, 3, axis=0)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import sys
+
 import numpy as np
+import pytest
 
 from scanrender import images
 from scanrender.cli.inspect import lines
@@ -36,3 +40,13 @@ def test_a_closed_scan_is_said_to_be_watertight(tmp_path):
     text = "\n".join(lines(inspect_scan(tmp_path / "a.obj")))
     assert "surface   watertight" in text
     assert "colour    none" in text
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of any bytes")
+def test_a_name_that_is_no_text_is_printed_all_the_same(cli, tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONIOENCODING", "utf-8:strict")
+    name = os.fsdecode(b"kopf\xff.obj")
+    (tmp_path / name).write_text(TETRAHEDRON + "f 1 2 3\nf 1 3 4\nf 1 4 2\nf 2 4 3\n")
+    done = cli("inspect", name)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("kopf\\udcff.obj: 4 triangles")

@@ -205,6 +205,15 @@ def test_units(size, settings, mm, confidence):
     assert frame.units["reason"]
 
 
+def test_the_height_of_a_sheet_that_has_none_is_no_scale():
+    positions, faces = grid(lambda x, y: 0.0 * x, side=3)
+    flat, stated = RawMesh(positions[:, [0, 2, 1]], faces), ScanSettings(height_mm=200.0, up="+y")
+    with pytest.raises(ConfigError, match="has no height along its up axis"):
+        find_frame(flat, flat.positions, flat.faces, stated)
+    upright = find_frame(flat, positions, faces, stated)
+    assert upright.mm_per_unit == pytest.approx(5.0)
+
+
 def test_far_away_scans_are_recentred_without_loss():
     positions, faces, _ = sphere(150.0)
     far = positions + np.array([4.4e5, 5.3e6, 120.0])
@@ -341,9 +350,9 @@ def test_clean_counts_each_step():
     counts = {step["step"]: step["faces"] for step in cleaned.steps}
     n = len(faces)
     assert list(counts) == [
-        "weld", "drop degenerate faces", "drop duplicate faces", "drop extra faces at edges",
-        "split vertices between fans", "drop unused vertices", "orient", "drop floaters",
-        "flatten spikes", "fill holes", "drop what filling left over",
+        "drop outliers", "weld", "drop degenerate faces", "drop duplicate faces",
+        "drop extra faces at edges", "split vertices between fans", "drop unused vertices",
+        "orient", "drop floaters", "flatten spikes", "fill holes", "drop what filling left over",
     ]  # fmt: skip
     assert counts["weld"] == [n + 18, n + 18]  # each step is counted, also where nothing changes
     assert counts["drop degenerate faces"] == [n + 18, n + 17]
