@@ -42,9 +42,9 @@ def drop_outliers(surface: Surface) -> Surface:
     least, most = extent(surface.positions)
     if reach <= 0.0 or ((least >= low) & (most <= high)).all():
         return surface
-    far = ((surface.positions < low) | (surface.positions > high)).any(axis=1)
+    far = np.asarray(((surface.positions < low) | (surface.positions > high)).any(axis=1))
     of_face = far[surface.faces]
-    gone, apart = of_face.any(axis=1), of_face.all(axis=1)
+    gone, apart = np.asarray(of_face.any(axis=1)), of_face.all(axis=1)
     places = len(np.unique(surface.positions[far], axis=0))
     scattered = 2 * int(apart.sum()) < places  # a surface has as many faces as vertices, or more
     few = far.sum() <= max(3.0, _FEW_VERTICES * len(far)) and gone.mean() <= _FEW_FACES

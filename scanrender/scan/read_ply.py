@@ -152,7 +152,7 @@ def _whole(values: Any) -> npt.NDArray[np.int64]:
     values = np.asarray(values)
     if values.dtype.kind == "f":
         values = np.where(np.abs(values) < 2.0**62, values, -2.0)
-    return values.astype(np.int64, copy=False)
+    return np.asarray(values, np.int64)
 
 
 def _faces(
