@@ -215,14 +215,14 @@ def _simplified(
             return cleaned.surface.positions, cleaned.surface.faces
         try:
             positions, faces, report = simplify(
-                cleaned.skin, prep.simplify, prep.timeout_s, handed_over
+                cleaned.skin, prep.simplify, prep.timeout_s, handed_over, cap=bool(cleaned.cap)
             )
         except StageError as error:
             raise _loose(cleaned.skin) or error from error
         notes.update(report)
         if report["over_budget"]:
             journal.warnings.append(
-                f"{len(faces)} triangles remain, more than prep.simplify.triangles: "
+                f"{report['triangles'][1]} triangles remain, more than prep.simplify.triangles: "
                 "fewer would damage the surface"
             )
         journal.warnings += [f"after simplification {damage}" for damage in report["damage"]]
