@@ -168,6 +168,7 @@ def test_unwrap_has_no_flips_and_covers_the_map():
 def test_charts_keep_their_padding():
     positions, faces, _ = sphere(100.0, 24, 48)
     result = unwrap(positions, faces, UnwrapSettings(padding_px=8), 512)
+    assert "padding_px" not in result.report, "only said where it is less than asked for"
     texels = rasterize(result.uv, result.faces, 512)
     chart = texels.scatter(result.chart[texels.face] + 1.0)[:, :, 0]
     near = np.zeros(0)
@@ -176,6 +177,17 @@ def test_charts_keep_their_padding():
             a, b = chart, np.roll(chart, shift, axis=axis)
             near = np.append(near, ((a > 0) & (b > 0) & (a != b))[5:-5, 5:-5].sum())
     assert near.sum() == 0
+
+
+@pytest.mark.parametrize(("padding_px", "size_px"), [(64, 64), (64, 512)])
+def test_padding_that_leaves_no_room_is_less_and_said(padding_px, size_px):
+    """Not a search of minutes for a scale at which gaps as wide as the map fit."""
+    positions, faces, _ = sphere(100.0, 10, 20)
+    report = unwrap(positions, faces, UnwrapSettings(padding_px=padding_px), size_px).report
+    assert report["rung"] == "charts"
+    assert report["packer"] == "bitmap"
+    assert report["padding_px"] == pytest.approx(0.25 * size_px / np.sqrt(report["charts"]))
+    assert report["padding_px_asked"] == padding_px
 
 
 def test_the_box_fallback_always_works():
