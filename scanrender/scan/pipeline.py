@@ -99,9 +99,8 @@ def prepare_here(
         with journal.stage("clean") as notes:
             cleaned = clean(raw, scan, prep.clean)
             notes["steps"] = list(cleaned.steps)
-            bake = fitted_sizes(
-                prep.bake, float(face_areas(cleaned.surface.positions, cleaned.surface.faces).sum())
-            )
+            area = face_areas(cleaned.surface.positions, cleaned.surface.faces).sum()
+            bake = fitted_sizes(prep.bake, float(area), prep.unwrap.padding_px)
             prep = prep.model_copy(update={"bake": bake})
             journal.warnings += cleaned.frame.warnings
         raw = raw.without_geometry()

@@ -13,6 +13,7 @@ from scanrender.scan.curvature import integrated_curvature, mean_curvature
 from scanrender.scan.diffuse import diffuse
 from scanrender.scan.flatten import flatten, is_flattenable, signed_areas, tutte
 from scanrender.scan.gutters import Gutters
+from scanrender.scan.map_sizes import fitted_sizes
 from scanrender.scan.meshlab import count_self_intersections
 from scanrender.scan.project import make_projector
 from scanrender.scan.rasterize import overlap_share, rasterize
@@ -23,10 +24,10 @@ from scanrender.scan.tangents import (
     to_tangent_space,
     vertex_tangents,
 )
-from scanrender.scan.topology import unit, vertex_areas, vertex_normals
+from scanrender.scan.topology import face_areas, unit, vertex_areas, vertex_normals
 from scanrender.scan.unwrap import unwrap
 from scanrender.scan.unwrap_box import pack_shelves, project
-from scanrender.settings.prep import UnwrapSettings
+from scanrender.settings.prep import BakeSettings, UnwrapSettings
 
 
 def inner(positions, half=10.0):
@@ -188,6 +189,19 @@ def test_padding_that_leaves_no_room_is_less_and_said(padding_px, size_px):
     assert report["packer"] == "bitmap"
     assert report["padding_px"] == pytest.approx(0.25 * size_px / np.sqrt(report["charts"]))
     assert report["padding_px_asked"] == padding_px
+
+
+@pytest.mark.parametrize("side", [64, 256])
+def test_maps_are_halved_by_what_gaps_leave_of_them(side):
+    """At 64 px gaps of 4 px leave a third of the atlas to the charts, not two."""
+    positions, faces, _ = sphere(100.0, 24, 48)
+    area = float(face_areas(positions, faces).sum())
+    atlas = unwrap(positions, faces, UnwrapSettings(), side)
+    used = np.abs(signed_areas(atlas.uv, atlas.faces)).sum()
+    texel_mm = np.sqrt(area / used) / side
+    for asked, expected in ((0.99, 2 * side), (1.1, side)):
+        bake = BakeSettings(albedo_px=2 * side, texel_mm=asked * texel_mm)
+        assert fitted_sizes(bake, area, UnwrapSettings().padding_px).albedo_px == expected
 
 
 def test_the_box_fallback_always_works():
