@@ -30,6 +30,7 @@ from scanrender.scan.mend import (
     surface_tree,
     tidied,
 )
+from scanrender.scan.neck import close_neck
 from scanrender.scan.parallel import run
 from scanrender.scan.refit import noise_mm, refitted
 from scanrender.scan.surface import Surface
@@ -43,6 +44,8 @@ STEPS = (3.0, 2.0, 1.4, 1.0)  # triangles after each step, in multiples of the t
 HALVED_FACES = 400_000
 FINER = 0.7  # of the triangles stay in each step of the search below the budget
 LEAST = 12  # triangles at which that search ends: a box
+HARDER = (7.0, 10.0)  # aggressiveness where a gentler collapse comes to less than half of the way
+TRIMS = 4  # each costs a collapse of few triangles; the first nearly always does
 # The collapse threshold is an absolute squared length: this diagonal makes it that of a head in mm.
 DIAGONAL = 500.0
 # Detail bends by more than this (1/mm, mean curvature over DETAIL_MM): ears, lids, nostrils, lips.
@@ -54,10 +57,12 @@ DETAIL_SHARE = 0.25  # of the area at most: where all is detail, nothing is
 def collapse_task(
     arrays: dict[str, Any], params: dict[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """In the child. Parameters: target, error_mm, aggressiveness (first, others), detail.
+    """In the child. Parameters: target, error_mm, aggressiveness (first, others), detail, cap
+    (whether the neck will be closed: `close_neck`'s faces are part of the target).
 
     Returns positions, faces; the report has error_mm (99 % of the distance, the worse direction),
-    bound (true where the error bound stopped it), ruined, damage, repaired, flipped, detail.
+    stop (what ended it: "budget", or, once the error bound is kept, what `_fewer` gives),
+    cap_faces, ruined, damage, repaired, flipped, detail.
     """
     raw = plain_surface(arrays["positions"], arrays["faces"])
     reference = Reference(raw)
@@ -76,34 +81,83 @@ def collapse_task(
         simple = mended(simple.positions, simple.faces)
     error = ErrorOf(reference)
     reached = 0.0 if simple is raw else error(simple, bound)
-    bounded = reached <= bound
-    if bounded:
-        simple, reached = _fewer(simple, reached, bound, error, others)
+    stop = "budget"
+    if reached <= bound:
+        simple, reached, stop = _fewer(simple, reached, bound, error, others)
     else:
         simple, reached = _without_noise(simple, reached, bound, raw, error)
-    report = {"error_mm": reached, "bound": bounded, "detail": detail}
     simple, found = reference.validated(simple)
+    cap = _cap_faces(simple, params)
+    if len(simple.faces) + cap > target:  # filled holes and the cap come on top
+        simple, found, cap = _trimmed(simple, found, cap, reference, params)
+        reached, stop = error(simple, bound), "budget"
+    report = {"error_mm": reached, "stop": stop, "cap_faces": cap, "detail": detail}
     return {"positions": simple.positions, "faces": simple.faces}, {**report, **found}
+
+
+def _trimmed(
+    simple: Surface, found: dict[str, Any], cap: int, reference: Reference, params: dict[str, Any]
+) -> tuple[Surface, dict[str, Any], int]:
+    """Within the target where a few more collapses reach it soundly; what `validated` found, and
+    the faces of the cap. The rim of the neck, and so its cap, is known only afterwards."""
+    for _ in range(TRIMS):
+        excess = len(simple.faces) + cap - int(params["target"])
+        if excess <= 0:
+            break
+        count = max(LEAST, len(simple.faces) - excess)
+        less = mended(*collapsed(simple, count, params["aggressiveness"][1]))
+        less, again = reference.validated(less)
+        if len(less.faces) >= len(simple.faces) or again["ruined"]:
+            break
+        repaired = {key: found["repaired"].get(key, 0) + n for key, n in again["repaired"].items()}
+        simple, found, cap = less, {**again, "repaired": repaired}, _cap_faces(less, params)
+    return simple, found, cap
+
+
+def _cap_faces(simple: Surface, params: dict[str, Any]) -> int:
+    return close_neck(simple)[1] if params["cap"] else 0
 
 
 def _fewer(
     simple: Surface, reached: float, bound: float, error: ErrorOf, aggressiveness: float
-) -> tuple[Surface, float]:
-    """The least triangles found that keep the bound, by steps down from what keeps it already."""
-    share = FINER
+) -> tuple[Surface, float, str]:
+    """The least triangles found that keep the bound, by steps down from what keeps it already; and
+    what speaks against fewer: "bound", "ruined", "stalled" (no collapse goes on), or "least"."""
+    share, stop = FINER, "least"
     while len(simple.faces) > LEAST:
-        count = max(LEAST, int(share * len(simple.faces)))
-        fewer = mended(*collapsed(simple, count, aggressiveness))
-        within = np.inf
-        if 0 < len(fewer.faces) < len(simple.faces):
-            within = error(fewer, bound)
-        if within <= bound:
+        fewer = _stepped(simple, max(LEAST, int(share * len(simple.faces))), aggressiveness)
+        against, within = _objection(fewer, simple, bound, error)
+        if not against:
             simple, reached = fewer, within
         elif share > FINER:
-            break
+            # That half a step is too small for the collapse says nothing of a whole one.
+            return simple, reached, stop if against == "stalled" else against
         else:
-            share = np.sqrt(FINER)  # once more, half as far
-    return simple, reached
+            share, stop = np.sqrt(FINER), against  # once more, half as far
+    return simple, reached, "least"
+
+
+def _stepped(simple: Surface, count: int, aggressiveness: float) -> Surface:
+    """Collapsed to about `count` faces, by a harder collapse where a gentle one stalls."""
+    half_way = 0.5 * (len(simple.faces) + count)
+    fewer = mended(*collapsed(simple, count, aggressiveness))
+    for harder in HARDER:
+        if harder > aggressiveness and len(fewer.faces) > half_way:
+            fewer = mended(*collapsed(simple, count, harder))
+    return fewer
+
+
+def _objection(fewer: Surface, simple: Surface, bound: float, error: ErrorOf) -> tuple[str, float]:
+    """What speaks against taking `fewer` for `simple`, if anything; and its error in mm."""
+    if len(fewer.faces) >= len(simple.faces):
+        return "stalled", np.inf
+    if not len(fewer.faces):
+        return "ruined", np.inf
+    within = error(fewer, bound)
+    if within > bound:
+        return "bound", within
+    # The distance alone does not see that a plane shrinks, or that a sheet folds.
+    return "ruined" if error.reference.ruined(fewer) else "", within
 
 
 def _without_noise(
@@ -227,15 +281,15 @@ class ErrorOf:
     the worse (Cignoni, Rocchini, Scopigno 1998), by seeded samples."""
 
     def __init__(self, reference: Reference) -> None:
-        self._reference = reference
+        self.reference = reference
         self._tree: Any = None
 
     def __call__(self, simple: Surface, bound: float) -> float:
         """The second way is left out once the first exceeds `bound`: it needs a tree of the raw
         surface, which takes longer to make than all the rest."""
-        worst = float(np.percentile(self._reference.distances(simple), 99))
+        worst = float(np.percentile(self.reference.distances(simple), 99))
         if worst <= bound:
-            raw = self._reference.raw
+            raw = self.reference.raw
             self._tree = self._tree or surface_tree(raw)
             points = sample_surface(simple.positions, simple.faces, SAMPLES, 1)
             worst = max(worst, float(np.percentile(nearest_mm(self._tree, raw, points), 99)))

@@ -159,14 +159,15 @@ class Reference:
         simple, filled = self._without_new_holes(simple)
         simple, before, flipped = self._turned_back(simple)
         found = {
-            "ruined": self._ruined(simple),
+            "ruined": self.ruined(simple),
             "damage": self._damage(simple, flipped),
             "repaired": {"holes": filled, "flipped_faces": before - flipped},
             "flipped": flipped,
         }
         return simple, found
 
-    def _ruined(self, simple: Surface) -> list[str]:
+    def ruined(self, simple: Surface) -> list[str]:
+        """Why this is no likeness of the raw surface, in sentences."""
         raw, sentences = self.raw, []
         if len(simple.faces) < min(4, len(raw.faces)):
             return ["nothing is left"]

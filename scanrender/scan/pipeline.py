@@ -99,9 +99,8 @@ def prepare_here(
         with journal.stage("clean") as notes:
             cleaned = clean(raw, scan, prep.clean)
             notes["steps"] = list(cleaned.steps)
-            bake = fitted_sizes(
-                prep.bake, float(face_areas(cleaned.surface.positions, cleaned.surface.faces).sum())
-            )
+            area = face_areas(cleaned.surface.positions, cleaned.surface.faces).sum()
+            bake = fitted_sizes(prep.bake, float(area), prep.unwrap.padding_px)
             prep = prep.model_copy(update={"bake": bake})
             journal.warnings += cleaned.frame.warnings
         raw = raw.without_geometry()
@@ -215,14 +214,14 @@ def _simplified(
             return cleaned.surface.positions, cleaned.surface.faces
         try:
             positions, faces, report = simplify(
-                cleaned.skin, prep.simplify, prep.timeout_s, handed_over
+                cleaned.skin, prep.simplify, prep.timeout_s, handed_over, cap=bool(cleaned.cap)
             )
         except StageError as error:
             raise _loose(cleaned.skin) or error from error
         notes.update(report)
         if report["over_budget"]:
             journal.warnings.append(
-                f"{len(faces)} triangles remain, more than prep.simplify.triangles: "
+                f"{report['triangles'][1]} triangles remain, more than prep.simplify.triangles: "
                 "fewer would damage the surface"
             )
         journal.warnings += [f"after simplification {damage}" for damage in report["damage"]]

@@ -20,8 +20,6 @@ from scanrender.scan.child import run_task
 from scanrender.scan.surface import Surface
 from scanrender.settings.prep import SimplifySettings
 
-TOLERANCE = 1.02  # of the budget
-
 
 @dataclass(frozen=True)
 class Attempt:
@@ -42,6 +40,14 @@ ATTEMPTS = (
     Attempt("in the hardest steps", (10.0, 10.0), detail=False, hard=True),
 )
 
+# What ended the search for fewer triangles than the budget, by the name that the child gives it.
+STOPPED = {
+    "bound": "stopped by the error bound",
+    "ruined": "stopped where fewer would ruin the surface",
+    "stalled": "stopped where no edge collapses any more",
+    "least": "stopped at the fewest triangles that are tried",
+}
+
 
 @dataclass(frozen=True)
 class _Tried:
@@ -49,16 +55,26 @@ class _Tried:
     positions: npt.NDArray[np.float64]
     faces: npt.NDArray[np.int64]
     report: dict[str, Any]
-    excess: float  # triangles above the budget
+    budget: int
 
     @property
-    def rank(self) -> tuple[float, int]:
+    def count(self) -> int:
+        """Triangles with the cap that the neck will get."""
+        return len(self.faces) + int(self.report["cap_faces"])
+
+    @property
+    def excess(self) -> int:
+        """Triangles above the budget."""
+        return max(self.count - self.budget, 0)
+
+    @property
+    def rank(self) -> tuple[int, int]:
         """The lower, the better."""
-        return max(self.excess, 0.0), len(self.report["damage"])
+        return self.excess, len(self.report["damage"])
 
     @property
     def problems(self) -> list[str]:
-        over = [f"{len(self.faces)} triangles remain"] if self.excess > 0 else []
+        over = [f"{self.count} triangles remain"] if self.excess else []
         return [*self.report["ruined"], *self.report["damage"], *over]
 
 
@@ -67,10 +83,12 @@ def simplify(
     settings: SimplifySettings,
     timeout_s: float,
     handed_over: Callable[[], None] = lambda: None,
+    cap: bool = False,
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64], dict[str, Any]]:
     """Positions (n, 3) mm, faces (m, 3) with m <= settings.triangles, and a report.
 
-    `stopped_by` in the report says in one sentence whether the budget or the error bound ended it.
+    With `cap` there is room in the budget for the faces that `close_neck` will add, and all counts
+    in the report include these. `stopped_by` in the report says in one sentence what ended it.
     `over_budget` says that the budget could not be reached (boundaries and pieces need some
     triangles). `handed_over` is called once the first child has the surface. Raises StageError when
     each attempt ruins it.
@@ -80,10 +98,10 @@ def simplify(
     best: _Tried | None = None
     for attempt in ATTEMPTS:
         # A harder collapse cures an excess and nothing else.
-        if attempt.hard and best is not None and best.excess <= 0:
+        if attempt.hard and best is not None and not best.excess:
             continue
         try:
-            tried = _try(attempt, arrays, settings, timeout_s, handed_over)
+            tried = _try(attempt, arrays, settings, timeout_s, handed_over, cap)
         except StageError as error:
             rejected.append(f"{attempt.name}: {error.what}")
             continue
@@ -106,41 +124,44 @@ def _try(
     settings: SimplifySettings,
     timeout_s: float,
     handed_over: Callable[[], None],
+    cap: bool,
 ) -> _Tried:
     params = {
         "target": settings.triangles,
         "error_mm": settings.error_mm,
         "aggressiveness": attempt.aggressiveness,
         "detail": attempt.detail,
+        "cap": cap,
     }
     result, report = run_task("simplify", arrays, params, timeout_s, handed_over)
-    excess = len(result["faces"]) - TOLERANCE * settings.triangles
-    return _Tried(attempt, result["positions"], result["faces"], report, excess)
+    return _Tried(attempt, result["positions"], result["faces"], report, settings.triangles)
 
 
 def _report(
     tried: _Tried, rejected: list[str], before: int, settings: SimplifySettings
 ) -> dict[str, Any]:
-    count, report = len(tried.faces), tried.report
+    report = tried.report
     method = f"quadric edge collapse (fast-simplification), {tried.attempt.name}"
     return {
-        "method": "none: all triangles are kept" if count == before else method,
-        "stopped_by": _stopped_by(report, count, settings),
-        "triangles": [before, count],
+        "method": "none: all triangles are kept" if len(tried.faces) == before else method,
+        "stopped_by": _stopped_by(tried, settings),
+        "triangles": [before, tried.count],
         "rejected": rejected,
         "over_budget": tried.excess > 0,
         **{key: report[key] for key in ("error_mm", "damage", "repaired", "flipped", "detail")},
     }
 
 
-def _stopped_by(report: dict[str, Any], count: int, settings: SimplifySettings) -> str:
-    error, bound = report["error_mm"], settings.error_mm
-    if report["bound"]:
+def _stopped_by(tried: _Tried, settings: SimplifySettings) -> str:
+    error, stop = tried.report["error_mm"], tried.report["stop"]
+    count, bound, budget = tried.count, settings.error_mm, settings.triangles
+    if stop != "budget":
         return (
-            f"stopped by the error bound: {count:,} triangles keep 99 % within {error:.2g} mm "
-            f"(bound {bound:g} mm, budget {settings.triangles:,})"
+            f"{STOPPED[stop]}: {count:,} triangles keep 99 % within {error:.2g} mm "
+            f"(error bound {bound:g} mm, budget {budget:,})"
         )
+    budget_text = f"above the budget of {budget:,}" if tried.excess else "by the budget"
     return (
-        f"stopped by the budget: {count:,} triangles, 99 % within {error:.2g} mm "
+        f"stopped {budget_text}: {count:,} triangles, 99 % within {error:.2g} mm "
         f"(error bound {bound:g} mm)"
     )

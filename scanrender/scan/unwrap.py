@@ -18,7 +18,7 @@ from scanrender.scan.child import run_task
 from scanrender.scan.flatten import signed_areas
 from scanrender.scan.rasterize import overlap_share
 from scanrender.scan.topology import face_areas, unique_rows
-from scanrender.scan.unwrap_box import pack_shelves, project
+from scanrender.scan.unwrap_box import pack_shelves, possible_padding, project
 from scanrender.settings.prep import UnwrapSettings
 
 Array = npt.NDArray[Any]
@@ -89,22 +89,31 @@ def _by_charts(
     handed_over: Callable[[], None],
 ) -> Rung:
     arrays = {"positions": positions, "faces": faces}
-    padding = settings.padding_px / size_px
-    flat, report = run_task("charts", arrays, {"padding": padding}, settings.timeout_s, handed_over)
-    chart = flat["chart"]
+    asked = {"padding": settings.padding_px / size_px}
+    flat, report = run_task("charts", arrays, asked, settings.timeout_s, handed_over)
+    chart, padding = flat["chart"], report["padding"]
+    notes = _padding_notes(padding, settings, size_px)
     if "packed" in flat:
-        return chart, flat["packed"], {"packer": "bitmap"}
+        return chart, flat["packed"], {"packer": "bitmap", **notes}
     reasons = [report["not_packed"]]
-    params = {"resolution": size_px, "padding": settings.padding_px}
+    params = {"resolution": size_px, "padding": max(1, int(padding * size_px + 1e-9))}
     try:
         packed, report = run_task("pack", flat, params, settings.timeout_s)
         if report["atlases"] == 1:
-            return chart, packed["corner_uv"], {"packer": "xatlas", "packer_reason": reasons}
+            notes = {"packer": "xatlas", "packer_reason": reasons, **notes}
+            return chart, packed["corner_uv"], notes
         reasons.append(f"{report['atlases']} atlases")
     except StageError as error:
         reasons.append(error.what)
     shelves = pack_shelves(chart, flat["corner_uv"], padding)
-    return chart, shelves, {"packer": "shelves", "packer_reason": reasons}
+    return chart, shelves, {"packer": "shelves", "packer_reason": reasons, **notes}
+
+
+def _padding_notes(padding: float, settings: UnwrapSettings, size_px: int) -> dict[str, Any]:
+    """What became of the padding where there is no room for all of it."""
+    if padding >= settings.padding_px / size_px:
+        return {}
+    return {"padding_px": padding * size_px, "padding_px_asked": settings.padding_px}
 
 
 def _by_xatlas(positions: Array, faces: Array, settings: UnwrapSettings, size_px: int) -> Rung:
@@ -118,9 +127,9 @@ def _by_xatlas(positions: Array, faces: Array, settings: UnwrapSettings, size_px
 
 def _by_box(positions: Array, faces: Array, settings: UnwrapSettings, size_px: int) -> Rung:
     chart, flat = project(positions, faces)
-    # Many tiny charts with full gaps would fill the atlas with gaps: half of it at most.
-    padding = min(settings.padding_px / size_px, 0.25 / np.sqrt(chart.max() + 1))
-    return chart, pack_shelves(chart, flat, padding), {"packer": "shelves"}
+    padding = possible_padding(settings.padding_px / size_px, int(chart.max()) + 1)
+    notes = _padding_notes(padding, settings, size_px)
+    return chart, pack_shelves(chart, flat, padding), {"packer": "shelves", **notes}
 
 
 def _as_is(

@@ -12,6 +12,8 @@ from scanrender.scan.topology import area_normals
 
 Array = npt.NDArray[Any]
 
+MOST_PADDING = 0.25  # of the side that a chart has when all are alike: more fills it with gaps
+
 
 def project(positions: Array, faces: Array) -> tuple[Array, Array]:
     """chart (m,) and corner_uv (m, 3, 2) in the units of positions, counter-clockwise.
@@ -36,6 +38,11 @@ def project(positions: Array, faces: Array) -> tuple[Array, Array]:
         chart[chosen] = piece + count
         count += int(piece.max()) + 1
     return chart, corner_uv
+
+
+def possible_padding(padding: float, charts: int) -> float:
+    """The padding, as a share of the atlas side, or the most that leaves room for the charts."""
+    return min(padding, MOST_PADDING / float(np.sqrt(charts)))
 
 
 def pack_shelves(chart: Array, corner_uv: Array, padding: float) -> Array:

@@ -31,6 +31,7 @@ from scanrender.scan.repair import split_vertices
 from scanrender.scan.segment import edge_components, segment, split_in_two
 from scanrender.scan.surface import Surface
 from scanrender.scan.untangle import simple_part
+from scanrender.scan.unwrap_box import possible_padding
 
 Array = npt.NDArray[Any]
 
@@ -47,7 +48,8 @@ def unwrap_by_charts(
     arrays: dict[str, Any], params: dict[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """positions (n, 3), faces (m, 3), padding as a share of the atlas side -> chart (m,), corner_uv
-    (m, 3, 2) in mm, and, where our packer manages, packed (m, 3, 2) in [0, 1], y up."""
+    (m, 3, 2) in mm, and, where our packer manages, packed (m, 3, 2) in [0, 1], y up. The report
+    has the padding that there is room for."""
     positions, faces = arrays["positions"], arrays["faces"]
     pieces = min(int(params.get("pieces", PIECES)), max(1, len(faces) // 40))
     region = face_region(positions, faces)
@@ -64,9 +66,10 @@ def unwrap_by_charts(
             chart[chosen], corner_uv[chosen] = done, flat
             done += 1
     result = {"chart": chart, "corner_uv": corner_uv}
-    report: dict[str, Any] = {"charts": done, "cuts": done - len(waiting)}
+    padding = possible_padding(float(params["padding"]), done)
+    report: dict[str, Any] = {"charts": done, "cuts": done - len(waiting), "padding": padding}
     try:
-        result["packed"] = pack_charts(chart, corner_uv, float(params["padding"]))
+        result["packed"] = pack_charts(chart, corner_uv, padding)
     except ValueError as error:
         report["not_packed"] = str(error)
     return result, report

@@ -79,7 +79,12 @@ class UnwrapSettings(Section):
     """Texture coordinates for the simplified mesh."""
 
     padding_px: int = setting(
-        4, "Gap between charts, measured in texels of the albedo map.", unit="px", ge=1, le=64
+        4,
+        "Gap between charts, measured in texels of the albedo map; less where that leaves "
+        "the charts no room.",
+        unit="px",
+        ge=1,
+        le=64,
     )
     timeout_s: float = setting(
         120.0,

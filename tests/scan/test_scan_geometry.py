@@ -13,6 +13,7 @@ from scanrender.scan.curvature import integrated_curvature, mean_curvature
 from scanrender.scan.diffuse import diffuse
 from scanrender.scan.flatten import flatten, is_flattenable, signed_areas, tutte
 from scanrender.scan.gutters import Gutters
+from scanrender.scan.map_sizes import fitted_sizes
 from scanrender.scan.meshlab import count_self_intersections
 from scanrender.scan.project import make_projector
 from scanrender.scan.rasterize import overlap_share, rasterize
@@ -23,10 +24,10 @@ from scanrender.scan.tangents import (
     to_tangent_space,
     vertex_tangents,
 )
-from scanrender.scan.topology import unit, vertex_areas, vertex_normals
+from scanrender.scan.topology import face_areas, unit, vertex_areas, vertex_normals
 from scanrender.scan.unwrap import unwrap
 from scanrender.scan.unwrap_box import pack_shelves, project
-from scanrender.settings.prep import UnwrapSettings
+from scanrender.settings.prep import BakeSettings, UnwrapSettings
 
 
 def inner(positions, half=10.0):
@@ -175,6 +176,7 @@ def test_unwrap_has_no_flips_and_covers_the_map():
 def test_charts_keep_their_padding():
     positions, faces, _ = sphere(100.0, 24, 48)
     result = unwrap(positions, faces, UnwrapSettings(padding_px=8), 512)
+    assert "padding_px" not in result.report, "only said where it is less than asked for"
     texels = rasterize(result.uv, result.faces, 512)
     chart = texels.scatter(result.chart[texels.face] + 1.0)[:, :, 0]
     near = np.zeros(0)
@@ -183,6 +185,30 @@ def test_charts_keep_their_padding():
             a, b = chart, np.roll(chart, shift, axis=axis)
             near = np.append(near, ((a > 0) & (b > 0) & (a != b))[5:-5, 5:-5].sum())
     assert near.sum() == 0
+
+
+@pytest.mark.parametrize(("padding_px", "size_px"), [(64, 64), (64, 512)])
+def test_padding_that_leaves_no_room_is_less_and_said(padding_px, size_px):
+    """Not a search of minutes for a scale at which gaps as wide as the map fit."""
+    positions, faces, _ = sphere(100.0, 10, 20)
+    report = unwrap(positions, faces, UnwrapSettings(padding_px=padding_px), size_px).report
+    assert report["rung"] == "charts"
+    assert report["packer"] == "bitmap"
+    assert report["padding_px"] == pytest.approx(0.25 * size_px / np.sqrt(report["charts"]))
+    assert report["padding_px_asked"] == padding_px
+
+
+@pytest.mark.parametrize("side", [64, 256])
+def test_maps_are_halved_by_what_gaps_leave_of_them(side):
+    """At 64 px gaps of 4 px leave a third of the atlas to the charts, not two."""
+    positions, faces, _ = sphere(100.0, 24, 48)
+    area = float(face_areas(positions, faces).sum())
+    atlas = unwrap(positions, faces, UnwrapSettings(), side)
+    used = np.abs(signed_areas(atlas.uv, atlas.faces)).sum()
+    texel_mm = np.sqrt(area / used) / side
+    for asked, expected in ((0.99, 2 * side), (1.1, side)):
+        bake = BakeSettings(albedo_px=2 * side, texel_mm=asked * texel_mm)
+        assert fitted_sizes(bake, area, UnwrapSettings().padding_px).albedo_px == expected
 
 
 def test_the_box_fallback_always_works():

@@ -21,7 +21,7 @@ from scanrender.scan.prepare import prepare
 from scanrender.scan.rays import Target
 from scanrender.scan.tangents import from_tangent_space
 from scanrender.scan.topology import unit
-from scanrender.settings.prep import BakeSettings, PrepSettings, SimplifySettings
+from scanrender.settings.prep import BakeSettings, CleanSettings, PrepSettings, SimplifySettings
 from scanrender.settings.scan import ScanSettings
 
 SMALL = PrepSettings(
@@ -355,3 +355,22 @@ def test_as_is_says_that_a_filled_hole_has_no_texture_coordinates(tmp_path, hole
     else:
         assert notes["rung"] == "charts"
         assert "no texture coordinates" in notes["failed_rungs"][0]
+
+
+def test_the_cap_of_the_neck_counts_in_the_budget(tmp_path):
+    positions, faces, _ = sphere(100.0, 32, 64)
+    above = (positions[faces][:, :, 1] > -80.0).all(axis=1)
+    scan = write_ply(tmp_path / "a.ply", positions, faces[above])
+    prep = SMALL.model_copy(
+        update={
+            "clean": CleanSettings(close_neck=True),
+            "simplify": SimplifySettings(triangles=500, error_mm=0.001),
+            "bake": SMALL.bake.model_copy(update={"maps": ("albedo",)}),
+            "report": "short",
+        }
+    )
+    asset = prepare(scan, ScanSettings(units="mm"), prep, tmp_path / "out")
+    notes = next(s for s in asset.info["stages"] if s["name"] == "simplify")["notes"]
+    assert notes["cap_faces"] > 4
+    assert 480 < len(asset.mesh.faces) == notes["triangles"][1] <= 500
+    assert asset.info["counts"]["prepared"]["boundary_edges"] == 2 * (notes["cap_faces"] + 2)
