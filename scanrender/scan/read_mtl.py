@@ -18,6 +18,7 @@ from scanrender.scan.raw import NO_PAGE
 from scanrender.scan.safe_path import inside
 
 _MTL_BYTES = 16 << 20  # twenty materials are 4 KiB: a larger file is something else
+_LARGEST_COLOR = 1e6  # Kd is from 0 to 1
 _MOST_PAGES = 32_767  # pages are numbered in 16 bits
 # How many words may follow an option of a texture map; of numbers, fewer are allowed.
 _OPTION_WORDS = {
@@ -60,6 +61,9 @@ class _Shelf:
         color = self._image(name, material, "map_kd", "srgb")
         if color is None:
             rgb = _color(material.get("kd", ""))
+            if not all(abs(value) < _LARGEST_COLOR for value in rgb):  # nor with NaN
+                self.notes.append(f"the Kd of material {name} is no colour: it is ignored")
+                return NO_PAGE
             # A grey Kd is every exporter's default and says nothing about skin.
             if max(rgb) - min(rgb) < 0.02:
                 return NO_PAGE

@@ -21,6 +21,7 @@ from scanrender.scan.udim import unfold_tiles
 from scanrender.scan.vertex_colors import colors_from_stored
 from scanrender.scan.words import floats, integers
 
+_NOT_BETWEEN = bytes(set(range(256)) - set(b" /"))  # what does not stand between numbers
 _LONG = 80  # letters of a bad line that are quoted
 
 
@@ -73,7 +74,8 @@ def _sorted_lines(text: bytes, relative: bool) -> _Lines:
 def read_obj(path: Path) -> RawMesh:
     """Read an OBJ. Raises ScanError for what cannot be parsed."""
     text = _text(path)
-    relative = b" -" in text or b"/-" in text  # negative indices need the running counts
+    # Negative indices need the running counts.
+    relative = b" -" in text or b"\t-" in text or b"/-" in text
     lines = _sorted_lines(text, relative)
     vertices, texture, polygons = lines.vertices, lines.texture, lines.polygons
     if not vertices or not polygons:
@@ -187,9 +189,10 @@ def _corners(
 
 def _indices(flat: list[bytes]) -> npt.NDArray[np.int64]:
     """(c, 2) one-based vertex and texture index of each corner, 0 where there is no texture."""
-    slashes = {token.count(b"/") for token in flat[:64]} | {flat[-1].count(b"/")} if flat else {0}
     joined = b" ".join(flat)
-    if len(slashes) == 1 and joined.count(b"/") == len(flat) * (count := slashes.pop()):
+    count = flat[0].count(b"/") if flat else 0
+    # Every corner must be of one style: totals agree too where one has a slash more, one fewer.
+    if joined.translate(None, _NOT_BETWEEN) + b" " == (b"/" * count + b" ") * len(flat):
         if count == 0:
             vertex = integers(flat)
             return np.stack([vertex, np.zeros_like(vertex)], axis=1)
