@@ -84,9 +84,9 @@ def read_obj(path: Path) -> RawMesh:
     table = _floats(vertices, path, "v", 3)
     running = lines.counts if relative else None
     corners, sizes = _corners(polygons, running, len(table), len(texture), path)
-    triangles = polygon_corners(sizes, corners[:, 0], table[:, :3])
-    polygon_of = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
     notes: list[str] = []
+    triangles = polygon_corners(sizes, corners[:, 0], table[:, :3], notes)
+    polygon_of = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
     paged = read_materials(path, lines.libraries, lines.switches, len(polygons), notes)
     page = paged.page[polygon_of]
     corner_uv = None

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from io import BytesIO
+
 import numpy as np
 import pytest
+from PIL import Image
 
 from scanrender import images
+from scanrender.errors import ScanError
+from scanrender.scan import triangulate
 from scanrender.scan.ingest import read_scan
 
 NOISE = np.random.default_rng(0).integers(0, 256, (4, 4, 3)).astype(np.uint8)
@@ -48,3 +53,59 @@ def test_corner_styles_may_change_where_the_numbers_of_slashes_cancel(obj):
     assert raw.faces[-4:].tolist() == [[0, 1, 2], [4, 5, 6], [4, 5, 6], [0, 1, 2]]
     assert np.isnan(raw.corner_uv[-3]).all()
     np.testing.assert_array_equal(raw.corner_uv[-2], [[0, 1], [1, 1], [1, 0]])
+
+
+def test_polygons_beyond_what_a_file_may_cost_are_fans_which_is_said(obj, monkeypatch):
+    darts = "v 4 0 0\nv 1 1 0\nv 0 4 0\nv 0 0 0\n" * 3 + "f 1 2 3 4\nf 5 6 7 8\nf 9 10 11 12\n"
+    ears, fan = [[3, 0, 1], [1, 2, 3]], [[0, 1, 2], [0, 2, 3]]
+    raw = obj(darts)
+    assert (raw.faces.reshape(3, 2, 3) - 4 * np.arange(3)[:, None, None]).tolist() == [ears] * 3
+    assert raw.notes == ()
+    monkeypatch.setattr(triangulate, "_MOST_WORK", 50)
+    raw = obj(darts)
+    assert (raw.faces.reshape(3, 2, 3) - 4 * np.arange(3)[:, None, None]).tolist() == [
+        ears, ears, fan
+    ]  # fmt: skip
+    assert any(note.startswith("1 concave polygons too many") for note in raw.notes)
+
+
+def jpeg(**options):
+    stream = BytesIO()
+    noise = np.random.default_rng(1).integers(0, 256, (64, 64, 3)).astype(np.uint8)
+    Image.fromarray(noise).save(stream, "JPEG", **{"quality": 95, **options})
+    return stream.getvalue()
+
+
+KINDS = {"baseline": {}, "progressive": {"progressive": True}, "restarts":
+         {"restart_marker_blocks": 2}, "thumbnail": {"exif": b"Exif\0\0" + jpeg(quality=5)}}  # fmt: skip
+CUTS = {
+    "half": lambda data: data[: len(data) // 2],
+    "the last bytes": lambda data: data[:-20],
+    "half, then zeros": lambda data: data[: len(data) // 2].ljust(len(data), b"\0"),
+    "half, then an end": lambda data: data[: len(data) // 2] + b"\xff\xd9",
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_jpeg_that_is_cut_short_is_refused_and_one_with_more_behind_it_is_not(tmp_path, kind):
+    whole, path = jpeg(**KINDS[kind]), tmp_path / "skin.jpg"
+    path.write_bytes(whole)
+    pixels = images.read_colors(path)
+    for more in (b"\0" * 5000, b"SEFT" * 40, whole):
+        path.write_bytes(whole + more)
+        np.testing.assert_array_equal(images.read_colors(path), pixels)
+    for cut in CUTS.values():
+        path.write_bytes(cut(whole))
+        with pytest.raises(ScanError, match=r"skin\.jpg is cut short"):
+            images.read_colors(path)
+
+
+@pytest.mark.parametrize(("name", "what"), [("x.null", "x.null"), ("ha\udcff.png", "not UTF-8")])
+def test_images_that_nobody_reads(tmp_path, name, what):
+    try:
+        (tmp_path / name).write_bytes(b"nothing")
+    except OSError:
+        pytest.skip("this file system has no such names")
+    with pytest.raises(ScanError, match=what) as caught:
+        images.read_colors(tmp_path / name)
+    assert caught.value.fix
