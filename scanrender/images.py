@@ -89,7 +89,7 @@ def read_colors(path: Path | str, name: str | None = None) -> npt.NDArray[Any]:
     try:
         source = oiio.ImageInput.open(str(path), keep)
     except TypeError as error:
-        what = f"the path of image {ascii(called)} is not UTF-8"
+        what = f"the path of image {called!a} is not UTF-8"
         raise ScanError(what, ascii(str(path)), "rename it") from error
     # OpenImageIO's "null" makes up a black picture for any file of that suffix.
     if source is None or source.format_name() == "null":

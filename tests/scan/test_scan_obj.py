@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -69,6 +70,108 @@ def test_polygons_beyond_what_a_file_may_cost_are_fans_which_is_said(obj, monkey
     assert any(note.startswith("1 concave polygons too many") for note in raw.notes)
 
 
+def squares(count):
+    """An OBJ of `count` squares, the material of each by its number."""
+    faces = (f"usemtl m{i}\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n" for i in range(count))
+    return f"mtllib m.mtl\n{CORNERS}{''.join(faces)}"
+
+
+def test_materials_that_name_the_same_images_are_one_page(obj):
+    mtl = "".join(f"newmtl m{i}\nmap_Kd skin.png\n" for i in range(3))
+    mtl += "newmtl m3\nmap_Kd skin.png\nnorm bumps.png\nnewmtl m4\nmap_Kd ./other.png\n"
+    raw = obj(squares(5), mtl, **{"skin.png": NOISE, "bumps.png": NOISE, "other.png": OTHER})
+    assert raw.page.tolist() == [0, 0, 0, 0, 0, 0, 1, 1, 2, 2]
+    assert [page.name for page in raw.pages] == ["skin.png", "skin.png", "other.png"]
+    assert raw.pages[0] is raw.pages[1]
+    assert [normal and normal.name for normal in raw.normal_pages] == [None, "bumps.png", None]
+
+
+def test_a_folder_is_listed_once_whatever_is_missing(obj, monkeypatch):
+    listed, list_folder = [], Path.iterdir
+    monkeypatch.setattr(Path, "iterdir", lambda path: listed.append(path) or list_folder(path))
+    raw = obj(squares(9), "".join(f"newmtl m{i}\nmap_Kd no{i}.png\n" for i in range(9)))
+    assert sum("which is missing" in note for note in raw.notes) == 9
+    assert len(listed) <= 2
+
+
+def test_a_material_without_a_name_does_not_paint_the_one_before(obj):
+    mtl = "newmtl skin\nmap_Kd skin.png\nnewmtl\nmap_Kd other.png\n"
+    raw = obj(mtl=mtl, **{"skin.png": NOISE, "other.png": OTHER})
+    np.testing.assert_array_equal(raw.pages[0].pixels, NOISE)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"), [("-s 2 2 1 -o 0.5 0 0", True), ("-s 1 1 1 -o 0 0 0 -mm 0 2", False)]
+)
+def test_a_scale_or_offset_of_an_image_is_said_to_be_lost(obj, options, said):
+    raw = obj(mtl=f"newmtl skin\nmap_Kd {options} skin.png\n", **{"skin.png": NOISE})
+    assert raw.pages[0].name == "skin.png"
+    assert any("scale or offset of the image of skin" in note for note in raw.notes) == said
+
+
+@pytest.mark.parametrize(
+    ("named", "file"),
+    [
+        ("skin.png", "mats/skin.png"),
+        ("Skin.PNG", "mats/skin.png"),
+        ("../tex/skin.png", "tex/skin.png"),
+        ("mats/skin.png", "mats/skin.png"),
+        ("skin.png", "skin.png"),
+        ("skin.tif", "mats/skin.png"),
+        ("head:skin.png", "head:skin.png"),
+        ("head:skin.png", "mats/head:skin.png"),
+    ],
+)
+def test_images_are_looked_for_beside_the_material_file(obj, tmp_path, named, file):
+    (tmp_path / "mats").mkdir()
+    (tmp_path / "mats/m.mtl").write_text(f"newmtl skin\nmap_Kd {named}\n")
+    raw = obj(SQUARE.replace("m.mtl", "mats/m.mtl"), **{file: NOISE})
+    assert raw.page.tolist() == [0, 0]
+    np.testing.assert_array_equal(raw.pages[0].pixels, NOISE)
+
+
+def test_of_two_images_the_one_beside_the_material_file_is_meant(obj, tmp_path):
+    (tmp_path / "mats").mkdir()
+    (tmp_path / "mats/m.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
+    both = {"skin.png": OTHER, "mats/skin.png": NOISE}
+    raw = obj(SQUARE.replace("m.mtl", "mats/m.mtl"), **both)
+    np.testing.assert_array_equal(raw.pages[0].pixels, NOISE)
+
+
+def test_tiles_beside_the_material_file(obj, tmp_path):
+    (tmp_path / "mats").mkdir()
+    (tmp_path / "mats/m.mtl").write_text("newmtl skin\nmap_Kd skin.<UDIM>.png\n")
+    text = f"mtllib mats/m.mtl\n{CORNERS}vt 1.5 0.5\nusemtl skin\nf 1/1 2/2 3/3\nf 1/5 2/5 3/5\n"
+    raw = obj(text, **{"mats/skin.1001.png": NOISE, "mats/skin.1002.png": OTHER})
+    assert raw.page.tolist() == [0, 1]
+    np.testing.assert_array_equal(raw.pages[1].pixels, OTHER)
+
+
+@pytest.mark.parametrize("named", ["../../skin.png", "..:/skin.png", "a:/../../skin.png",
+                                   "a:/../../../skin.png", "%2e%2e/%2e%2e/skin.png"])  # fmt: skip
+def test_nothing_outside_is_read_from_a_folder_within(obj, tmp_path, named):
+    scan = tmp_path / "scan"
+    (scan / "mats").mkdir(parents=True)
+    images.write_image(tmp_path / "skin.png", NOISE)
+    (scan / "mats/m.mtl").write_text(f"newmtl skin\nmap_Kd {named}\n")
+    (scan / "a.obj").write_text(SQUARE.replace("m.mtl", "mats/m.mtl"))
+    try:
+        assert read_scan(scan / "a.obj").pages == ()
+    except ScanError as error:
+        assert "outside the scan's folder" in error.what
+
+
+def test_a_material_file_nobody_named_that_links_outside_is_skipped(tmp_path):
+    scan = tmp_path / "scan"
+    scan.mkdir()
+    (tmp_path / "secret.mtl").write_text("newmtl skin\nKd 1 0 0\n")
+    (scan / "a.mtl").symlink_to(tmp_path / "secret.mtl")
+    (scan / "a.obj").write_text(SQUARE.replace("mtllib m.mtl\n", ""))
+    raw = read_scan(scan / "a.obj")
+    assert raw.pages == ()
+    assert any(note.startswith("a.mtl, beside the scan, is a link") for note in raw.notes)
+
+
 def jpeg(**options):
     stream = BytesIO()
     noise = np.random.default_rng(1).integers(0, 256, (64, 64, 3)).astype(np.uint8)
@@ -76,8 +179,12 @@ def jpeg(**options):
     return stream.getvalue()
 
 
-KINDS = {"baseline": {}, "progressive": {"progressive": True}, "restarts":
-         {"restart_marker_blocks": 2}, "thumbnail": {"exif": b"Exif\0\0" + jpeg(quality=5)}}  # fmt: skip
+KINDS = {
+    "baseline": {},
+    "progressive": {"progressive": True},
+    "restarts": {"restart_marker_blocks": 2},
+    "thumbnail": {"exif": b"Exif\0\0" + jpeg(quality=5)},
+}
 CUTS = {
     "half": lambda data: data[: len(data) // 2],
     "the last bytes": lambda data: data[:-20],
