@@ -7,6 +7,7 @@ million triangles. Vertex colours are `v x y z r g b`, or ZBrush's `#MRGB` comme
 from __future__ import annotations
 
 import codecs
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from scanrender.scan.vertex_colors import colors_from_stored
 from scanrender.scan.words import floats, integers
 
 _NOT_BETWEEN = bytes(set(range(256)) - set(b" /"))  # what does not stand between numbers
+_NOT_FINITE = re.compile(rb"[-+]?\d+\.#(?:IND|INF|[QS]NAN|J)\w*")  # Microsoft's, until 2015
 _LONG = 80  # letters of a bad line that are quoted
 
 
@@ -113,9 +115,13 @@ def _colors(
     table: npt.NDArray[np.float64], polypaint: list[bytes], notes: list[str]
 ) -> npt.NDArray[np.float32] | None:
     """`v x y z r g b`: sRGB in [0, 1], or in [0, 255] as some exporters write; or polypaint,
-    eight hexadecimal digits MMRRGGBB a vertex, where MM is a mask."""
+    eight hexadecimal digits MMRRGGBB a vertex, where MM is a mask. A seventh number is alpha, or
+    else blue behind a weight w."""
     if table.shape[1] >= 6:
-        return colors_from_stored(table[:, 3:6], None, notes)
+        red = (
+            4 if table.shape[1] == 7 and _all_one(table[:, 3]) and not _all_one(table[:, 6]) else 3
+        )
+        return colors_from_stored(table[:, red : red + 3], None, notes)
     if polypaint:
         try:
             packed = np.frombuffer(bytes.fromhex(b"".join(polypaint).decode("ascii")), np.uint8)
@@ -127,6 +133,11 @@ def _colors(
     return None
 
 
+def _all_one(column: npt.NDArray[np.float64]) -> bool:
+    """Whether all are 1 but for those that the lines leave out."""
+    return bool(((column == 1.0) | np.isnan(column)).all())
+
+
 def _floats(lines: list[bytes], path: Path, key: str, least: int) -> npt.NDArray[np.float64]:
     """(n, columns) numbers, of `least` columns or more; what a shorter line leaves out is NaN."""
     widths = set(map(len, map(bytes.split, lines)))
@@ -136,6 +147,7 @@ def _floats(lines: list[bytes], path: Path, key: str, least: int) -> npt.NDArray
             return floats(b" ".join(lines).split()).reshape(-1, width)
         except ValueError:  # a comment at the end of a line, or no numbers
             pass
+    lines = [_NOT_FINITE.sub(b"nan", line) if b".#" in line else line for line in lines]
     rows = [line.split(b"#", 1)[0].split() for line in lines]
     width = max(least, *map(len, rows))
     try:
