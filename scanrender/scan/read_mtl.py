@@ -172,7 +172,7 @@ def read_materials(
     if materials and unknown:
         names = ", ".join(dict.fromkeys(unknown))
         notes.append(f"the material file does not describe {names[:200]}")
-    if not shelf.pages and (image := lone_image(path)) is not None:
+    if not shelf.pages and (image := lone_image(path, notes)) is not None:
         notes.append(f"no material names a texture: {image.name}, beside the scan, is used")
         shelf.pages, shelf.normals = [read_page(image)], [None]
         page[:] = 0

@@ -236,3 +236,15 @@ def test_images_that_nobody_reads(tmp_path, name, what):
     with pytest.raises(ScanError, match=what) as caught:
         images.read_colors(tmp_path / name)
     assert caught.value.fix
+
+
+def test_a_lone_image_whose_name_is_not_utf_8_is_skipped_and_said(tmp_path):
+    image = images.write_image(tmp_path / "skin.png", NOISE)
+    try:
+        image.rename(tmp_path / "ha\udcff.png")
+    except OSError:
+        pytest.skip("this file system has no such names")
+    (tmp_path / "a.obj").write_text(SQUARE)
+    raw = read_scan(tmp_path / "a.obj")
+    assert raw.pages == ()
+    assert r"the image 'ha\udcff.png' is ignored: its name is not UTF-8" in raw.notes
