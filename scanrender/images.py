@@ -6,6 +6,8 @@ OpenImageIO reports failure by return values and `geterror()`; every call is che
 
 from __future__ import annotations
 
+import mmap
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,8 @@ MAX_PIXELS = 32768 * 32768
 MAX_STORED_BYTES = 4 << 30
 _IMAGE_AGAIN = "export the image again, or remove it and what names it"
 _ROWS = 64
+# Other than those without a length: temporary, restart and start of image.
+_JPEG_MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd8\xff])")
 _TIFF_LAB = (8, 9, 10)
 
 
@@ -82,8 +86,13 @@ def read_colors(path: Path | str, name: str | None = None) -> npt.NDArray[Any]:
     called = name or Path(path).name
     keep = oiio.ImageSpec()
     keep.attribute("oiio:UnassociatedAlpha", 1)
-    source = oiio.ImageInput.open(str(path), keep)
-    if source is None:
+    try:
+        source = oiio.ImageInput.open(str(path), keep)
+    except TypeError as error:
+        what = f"the path of image {called!a} is not UTF-8"
+        raise ScanError(what, ascii(str(path)), "rename it") from error
+    # OpenImageIO's "null" makes up a black picture for any file of that suffix.
+    if source is None or source.format_name() == "null":
         said = _first_line(oiio.geterror()).replace(f' "{path}"', "")
         raise ScanError(f"cannot read image {called}: {said}", str(path), _IMAGE_AGAIN)
     try:
@@ -101,13 +110,31 @@ def read_colors(path: Path | str, name: str | None = None) -> npt.NDArray[Any]:
             )
         kind = oiio.TypeDesc(_OIIO_TYPES[np.dtype(dtype).name])
         pixels = source.read_image(0, 0, 0, channels, kind)
+        said = source.geterror()
         if pixels is None:
-            said = _first_line(source.geterror())
-            raise ScanError(f"cannot decode image {called}: {said}", str(path), _IMAGE_AGAIN)
+            what = f"cannot decode image {called}: {_first_line(said)}"
+            raise ScanError(what, str(path), _IMAGE_AGAIN)
+        # What is missing of a JPEG is filled with grey: an error is left, but none for zeros.
+        if "remature end" in said or (source.format_name() == "jpeg" and not _jpeg_ends(path)):
+            raise ScanError(f"image {called} is cut short", str(path), _IMAGE_AGAIN)
     finally:
         source.close()
     pixels = np.asarray(pixels, dtype).reshape(spec.height, spec.width, channels)
     return pixels if channels == 3 else np.repeat(pixels, 3, axis=2)
+
+
+def _jpeg_ends(path: Path | str) -> bool:
+    """Whether its end marker is there, be it that of a camera's picture before other data.
+
+    ITU-T T.81 (1992) B.1: a segment says its length, and in coded data 0 follows a byte of 255.
+    """
+    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        place = 0
+        while found := _JPEG_MARKER.search(data, place):
+            if found[1] == b"\xd9":
+                return True
+            place = found.end() + int.from_bytes(data[found.end() : found.end() + 2], "big")
+    return False
 
 
 def _first_line(text: str) -> str:

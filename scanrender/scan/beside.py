@@ -44,9 +44,11 @@ NOTES = Notes()
 
 @dataclass(frozen=True)
 class _Listing:
-    """Images of one folder, how many files it has of each suffix, and all names in lower case."""
+    """Images of one folder, also those whose name is not UTF-8, which nobody opens; how many files
+    it has of each suffix, and all names in lower case."""
 
     images: tuple[Path, ...]
+    misnamed: tuple[str, ...]
     suffixes: Counter[str]
     names: frozenset[str]
 
@@ -55,17 +57,31 @@ def _listed(folder: Path) -> _Listing:
     files = [folder / entry.name for entry in os.scandir(folder) if entry.is_file()]
     images = sorted(f for f in files if f.suffix.lower() in IMAGE_SUFFIXES)
     inside = tuple(f for f in images if f.resolve().is_relative_to(folder.resolve()))
+    misnamed = tuple(f.name for f in inside if not _is_utf8(f.name))
+    usable = tuple(f for f in inside if f.name not in misnamed)
     names = frozenset(f.name.lower() for f in files)
-    return _Listing(inside, Counter(f.suffix.lower() for f in files), names)
+    return _Listing(usable, misnamed, Counter(f.suffix.lower() for f in files), names)
+
+
+def _is_utf8(name: str) -> bool:
+    try:
+        name.encode()
+    except UnicodeEncodeError:  # Python keeps the byte as half of a surrogate pair
+        return False
+    return True
 
 
 # A thousand scans of one folder ask the same; only `changed` may remember, within one command.
 _remembered = lru_cache(maxsize=64)(_listed)
 
 
-def lone_image(path: Path) -> Path | None:
-    """The image that obviously belongs to a scan whose file names none, or None."""
-    found = _lone_image(path, _listed(path.parent))
+def lone_image(path: Path, notes: list[str] | None = None) -> Path | None:
+    """The image that obviously belongs to a scan whose file names none, or None. notes: takes a
+    sentence about each that cannot be opened."""
+    listing = _listed(path.parent)
+    if notes is not None:
+        notes += [f"the image {x!a} is ignored: its name is not UTF-8" for x in listing.misnamed]
+    found = _lone_image(path, listing)
     NOTES.lone[path] = None if found is None else found.name
     if found is not None:
         NOTES.note(found.name, found)

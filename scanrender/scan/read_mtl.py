@@ -15,9 +15,10 @@ from scanrender.errors import ScanError
 from scanrender.scan.beside import IMAGE_SUFFIXES, NOTES, lone_image
 from scanrender.scan.pages import Encoding, Page, constant_page, read_page
 from scanrender.scan.raw import NO_PAGE
-from scanrender.scan.safe_path import inside
+from scanrender.scan.safe_path import Listings, inside
 
 _MTL_BYTES = 16 << 20  # twenty materials are 4 KiB: a larger file is something else
+_LARGEST_COLOR = 1e6  # Kd is from 0 to 1
 _MOST_PAGES = 32_767  # pages are numbered in 16 bits
 # How many words may follow an option of a texture map; of numbers, fewer are allowed.
 _OPTION_WORDS = {
@@ -27,16 +28,18 @@ _OPTION_WORDS = {
 _NUMBERS_ONLY = ("-bm", "-boost", "-mm", "-o", "-s", "-t", "-texres")
 _TILE = re.compile(r"(?<!\d)1001(?!\d)")
 Material = dict[str, str]
+# The file names of an image and of its normal map with `<UDIM>` for the number, and `folder`.
+Tiles = tuple[str, str | None, str]
 
 
 class Paged(NamedTuple):
     """The pages of an OBJ, the normal map of each or None, the page of each polygon, and of pages
-    that are one tile of several (UDIM) the file name with `<UDIM>` for its number."""
+    that are one tile of several (UDIM) `Tiles`."""
 
     pages: tuple[Page, ...]
     normals: tuple[Page | None, ...]
     page: npt.NDArray[np.int16]
-    tiled: dict[int, tuple[str, str | None]]
+    tiled: dict[int, Tiles]
 
 
 @dataclass
@@ -48,7 +51,11 @@ class _Shelf:
     pages: list[Page] = field(default_factory=list)
     normals: list[Page | None] = field(default_factory=list)
     index_of: dict[str, int] = field(default_factory=dict)
-    tiled: dict[int, tuple[str, str | None]] = field(default_factory=dict)
+    tiled: dict[int, Tiles] = field(default_factory=dict)
+    # Forty materials may name one image: it is read once, and is one page where all else agrees.
+    read: dict[tuple[Path, Encoding], Page] = field(default_factory=dict)
+    shared: dict[tuple[int, int, Tiles | None], int] = field(default_factory=dict)
+    listings: Listings = field(default_factory=dict)
 
     def index(self, name: str, material: Material) -> int:
         """The page of a material, or NO_PAGE when it has neither an image nor a telling colour."""
@@ -57,41 +64,63 @@ class _Shelf:
         return self.index_of[name]
 
     def _add(self, name: str, material: Material) -> int:
-        color = self._image(name, material, "map_kd", "srgb")
+        color, tiles = self._image(name, material, "map_kd", "srgb"), None
         if color is None:
             rgb = _color(material.get("kd", ""))
+            if not all(abs(value) < _LARGEST_COLOR for value in rgb):  # nor with NaN
+                self.notes.append(f"the Kd of material {name} is no colour: it is ignored")
+                return NO_PAGE
             # A grey Kd is every exporter's default and says nothing about skin.
             if max(rgb) - min(rgb) < 0.02:
                 return NO_PAGE
             color = constant_page(name, rgb)
-        elif tile := tile_pattern(material["map_kd"]):
-            self.tiled[len(self.pages)] = tile, tile_pattern(material.get("normal", ""))
-        if len(self.pages) == _MOST_PAGES:
+        else:
+            if "moved" in material:
+                self.notes.append(f"the scale or offset of the image of {name} is not read")
+            if tile := tile_pattern(material["map_kd"]):
+                tiles = tile, tile_pattern(material.get("normal", "")), material.get("folder", "")
+        normal = self._image(name, material, "normal", "linear")
+        key = id(color), id(normal), tiles
+        if key not in self.shared:
+            self.shared[key] = self._put(color, normal, tiles)
+        return self.shared[key]
+
+    def _put(self, color: Page, normal: Page | None, tiles: Tiles | None) -> int:
+        number = len(self.pages)
+        if number == _MOST_PAGES:
             raise ScanError(
                 f"{self.path.name} has more than {_MOST_PAGES} materials",
                 str(self.path),
                 "bake them into one texture",
             )
+        if tiles is not None:
+            self.tiled[number] = tiles
         self.pages.append(color)
-        self.normals.append(self._image(name, material, "normal", "linear"))
-        return len(self.pages) - 1
+        self.normals.append(normal)
+        return number
 
     def _image(self, name: str, material: Material, key: str, encoding: Encoding) -> Page | None:
         if key not in material:
             return None
-        named = material[key]
-        file = self._file(named) or self._file(named.split(" #", 1)[0])
+        named, folder = material[key], material.get("folder", "")
+        file = self._file(named, folder) or self._file(named.split(" #", 1)[0], folder)
         if file is None:
             what = f"material {name} names {named}, which is missing"
             stem = PurePosixPath(named.replace("\\", "/")).stem
-            others = (inside(self.path.parent, stem + x, self.path) for x in IMAGE_SUFFIXES)
+            others = (self._inside(stem + suffix, folder) for suffix in IMAGE_SUFFIXES)
             file = next((other for other in others if other is not None), None)
             self.notes.append(what if file is None else f"{what}: {file.name} is used")
-        return None if file is None else read_page(file, encoding)
+        if file is None:
+            return None
+        if (file, encoding) not in self.read:
+            self.read[file, encoding] = read_page(file, encoding)
+        return self.read[file, encoding]
 
-    def _file(self, named: str) -> Path | None:
-        named = tile_name(tile_pattern(named) or named, 1001)
-        return inside(self.path.parent, named, self.path)
+    def _file(self, named: str, folder: str) -> Path | None:
+        return self._inside(tile_name(tile_pattern(named) or named, 1001), folder)
+
+    def _inside(self, named: str, folder: str) -> Path | None:
+        return inside(self.path.parent, named, self.path, folder, self.listings)
 
 
 def tile_pattern(name: str) -> str | None:
@@ -126,7 +155,9 @@ def read_materials(
     """The pages of the OBJ at `path`. switches: (first polygon, material name), in order."""
     materials: dict[str, Material] = {}
     for file in _files(path, libraries, notes):
-        materials.update(read_mtl(file))
+        folder = file.parent.relative_to(path.parent).as_posix()
+        for name, material in read_mtl(file).items():
+            materials[name] = material if folder == "." else {**material, "folder": folder}
     shelf = _Shelf(path, notes)
     page = np.full(polygon_count, NO_PAGE, np.int16)
     unknown = []
@@ -141,7 +172,7 @@ def read_materials(
     if materials and unknown:
         names = ", ".join(dict.fromkeys(unknown))
         notes.append(f"the material file does not describe {names[:200]}")
-    if not shelf.pages and (image := lone_image(path)) is not None:
+    if not shelf.pages and (image := lone_image(path, notes)) is not None:
         notes.append(f"no material names a texture: {image.name}, beside the scan, is used")
         shelf.pages, shelf.normals = [read_page(image)], [None]
         page[:] = 0
@@ -160,10 +191,12 @@ def _only_textured(shelf: _Shelf, materials: dict[str, Material], page: npt.NDAr
 def _files(path: Path, libraries: list[str], notes: list[str]) -> list[Path]:
     """The MTL files that the OBJ names, or else the one that obviously belongs to it."""
     found: list[Path] = []
+    listings: Listings = {}
     for library in libraries:
-        whole = inside(path.parent, library, path)
+        whole = inside(path.parent, library, path, "", listings)
         # Several files may stand on one line, but one name may hold blanks too.
-        parts = [whole] if whole else [inside(path.parent, x, path) for x in library.split()]
+        names = [] if whole else library.split()
+        parts = [whole] if whole else [inside(path.parent, x, path, "", listings) for x in names]
         if None in parts or not parts:
             notes.append(f"the material file {library} is missing")
         found += [part for part in parts if part is not None]
@@ -174,9 +207,12 @@ def _files(path: Path, libraries: list[str], notes: list[str]) -> list[Path]:
                                                        f"{path.name}.mtl".lower())]  # fmt: skip
     if not likely and libraries and len(present) == 1:
         likely = present
-    if likely and (file := inside(path.parent, likely[0].name, path)) is not None:
-        notes.append(f"{file.name}, beside the scan, is used as its material file")
-        return [file]
+    for file in likely:
+        if not file.resolve().is_relative_to(path.parent.resolve()):
+            notes.append(f"{file.name}, beside the scan, is a link that leaves its folder: ignored")
+        elif inside(path.parent, file.name, path) is not None:
+            notes.append(f"{file.name}, beside the scan, is used as its material file")
+            return [file]
     NOTES.missing.add(f"{path.stem}.mtl")
     return []
 
@@ -188,16 +224,18 @@ def read_mtl(path: Path) -> dict[str, Material]:
     with path.open("rb") as stream:
         text = decoded(stream.read(_MTL_BYTES))
     for line in text.replace("\\\n", " ").splitlines():
-        words = line.split(None, 1)
-        if len(words) < 2:
-            continue
+        words = [*line.split(None, 1), "", ""]
         key, value = words[0].lower(), words[1].strip()
         if key == "newmtl":
             current = materials.setdefault(value, {})
+        elif not value:
+            continue
         elif key == "kd":
             current["kd"] = value
         elif key == "map_kd":
             current["map_kd"] = _texture_name(value)
+            if _is_moved(value):
+                current["moved"] = value
         elif key == "map_ka":
             # Some exporters name their one image as the ambient map only.
             current.setdefault("map_ka", _texture_name(value))
@@ -223,16 +261,28 @@ def decoded(text: bytes) -> str:
 
 
 def _texture_name(value: str) -> str:
-    """The file name after options such as `-bm 1.0` or `-o 0 0 0`; names may hold blanks."""
-    rest = value
+    return _texture(value)[0]
+
+
+def _is_moved(value: str) -> bool:
+    """Whether options scale or move the image; exporters also write those that change nothing."""
+    still = {"-s": 1.0, "-o": 0.0}
+    return any(key in still and float(word) != still[key] for key, word in _texture(value)[1])
+
+
+def _texture(value: str) -> tuple[str, list[tuple[str, str]]]:
+    """The file name after options such as `-bm 1.0` or `-o 0 0 0`, and what follows each option;
+    names may hold blanks."""
+    rest, said = value, []
     while (option := rest.split(None, 1)) and option[0].lower() in _OPTION_WORDS:
         key, rest = option[0].lower(), option[1] if len(option) > 1 else ""
         for _ in range(_OPTION_WORDS[key]):
             word = rest.split(None, 1)
             if len(word) < 2 or (key in _NUMBERS_ONLY and not _is_number(word[0])):
                 break
+            said.append((key, word[0]))
             rest = word[1]
-    return rest.strip() or value
+    return rest.strip() or value, said
 
 
 def _is_number(word: str) -> bool:

@@ -7,6 +7,7 @@ million triangles. Vertex colours are `v x y z r g b`, or ZBrush's `#MRGB` comme
 from __future__ import annotations
 
 import codecs
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,6 +22,8 @@ from scanrender.scan.udim import unfold_tiles
 from scanrender.scan.vertex_colors import colors_from_stored
 from scanrender.scan.words import floats, integers
 
+_NOT_BETWEEN = bytes(set(range(256)) - set(b" /"))  # what does not stand between numbers
+_NOT_FINITE = re.compile(rb"[-+]?\d+\.#(?:IND|INF|[QS]NAN|J)\w*")  # Microsoft's, until 2015
 _LONG = 80  # letters of a bad line that are quoted
 
 
@@ -73,7 +76,8 @@ def _sorted_lines(text: bytes, relative: bool) -> _Lines:
 def read_obj(path: Path) -> RawMesh:
     """Read an OBJ. Raises ScanError for what cannot be parsed."""
     text = _text(path)
-    relative = b" -" in text or b"/-" in text  # negative indices need the running counts
+    # Negative indices need the running counts.
+    relative = b" -" in text or b"\t-" in text or b"/-" in text
     lines = _sorted_lines(text, relative)
     vertices, texture, polygons = lines.vertices, lines.texture, lines.polygons
     if not vertices or not polygons:
@@ -82,9 +86,9 @@ def read_obj(path: Path) -> RawMesh:
     table = _floats(vertices, path, "v", 3)
     running = lines.counts if relative else None
     corners, sizes = _corners(polygons, running, len(table), len(texture), path)
-    triangles = polygon_corners(sizes, corners[:, 0], table[:, :3])
-    polygon_of = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
     notes: list[str] = []
+    triangles = polygon_corners(sizes, corners[:, 0], table[:, :3], notes)
+    polygon_of = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
     paged = read_materials(path, lines.libraries, lines.switches, len(polygons), notes)
     page = paged.page[polygon_of]
     corner_uv = None
@@ -111,9 +115,13 @@ def _colors(
     table: npt.NDArray[np.float64], polypaint: list[bytes], notes: list[str]
 ) -> npt.NDArray[np.float32] | None:
     """`v x y z r g b`: sRGB in [0, 1], or in [0, 255] as some exporters write; or polypaint,
-    eight hexadecimal digits MMRRGGBB a vertex, where MM is a mask."""
+    eight hexadecimal digits MMRRGGBB a vertex, where MM is a mask. A seventh number is alpha, or
+    else blue behind a weight w."""
     if table.shape[1] >= 6:
-        return colors_from_stored(table[:, 3:6], None, notes)
+        red = (
+            4 if table.shape[1] == 7 and _all_one(table[:, 3]) and not _all_one(table[:, 6]) else 3
+        )
+        return colors_from_stored(table[:, red : red + 3], None, notes)
     if polypaint:
         try:
             packed = np.frombuffer(bytes.fromhex(b"".join(polypaint).decode("ascii")), np.uint8)
@@ -125,6 +133,11 @@ def _colors(
     return None
 
 
+def _all_one(column: npt.NDArray[np.float64]) -> bool:
+    """Whether all are 1 but for those that the lines leave out."""
+    return bool(((column == 1.0) | np.isnan(column)).all())
+
+
 def _floats(lines: list[bytes], path: Path, key: str, least: int) -> npt.NDArray[np.float64]:
     """(n, columns) numbers, of `least` columns or more; what a shorter line leaves out is NaN."""
     widths = set(map(len, map(bytes.split, lines)))
@@ -134,6 +147,7 @@ def _floats(lines: list[bytes], path: Path, key: str, least: int) -> npt.NDArray
             return floats(b" ".join(lines).split()).reshape(-1, width)
         except ValueError:  # a comment at the end of a line, or no numbers
             pass
+    lines = [_NOT_FINITE.sub(b"nan", line) if b".#" in line else line for line in lines]
     rows = [line.split(b"#", 1)[0].split() for line in lines]
     width = max(least, *map(len, rows))
     try:
@@ -187,9 +201,10 @@ def _corners(
 
 def _indices(flat: list[bytes]) -> npt.NDArray[np.int64]:
     """(c, 2) one-based vertex and texture index of each corner, 0 where there is no texture."""
-    slashes = {token.count(b"/") for token in flat[:64]} | {flat[-1].count(b"/")} if flat else {0}
     joined = b" ".join(flat)
-    if len(slashes) == 1 and joined.count(b"/") == len(flat) * (count := slashes.pop()):
+    count = flat[0].count(b"/") if flat else 0
+    # Every corner must be of one style: totals agree too where one has a slash more, one fewer.
+    if joined.translate(None, _NOT_BETWEEN) + b" " == (b"/" * count + b" ") * len(flat):
         if count == 0:
             vertex = integers(flat)
             return np.stack([vertex, np.zeros_like(vertex)], axis=1)

@@ -5,6 +5,7 @@ An MTL or a glTF can name any path or URL; opening it would let a downloaded sca
 
 from __future__ import annotations
 
+import posixpath
 import re
 from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
@@ -12,28 +13,47 @@ from urllib.parse import unquote
 from scanrender.errors import ScanError
 from scanrender.scan.beside import NOTES
 
+Listings = dict[Path, dict[str, Path]]  # of each folder its files by their names in lower case
 
-def inside(folder: Path, reference: str, named_by: Path) -> Path | None:
+
+def inside(
+    folder: Path,
+    reference: str,
+    named_by: Path,
+    below: str = "",
+    listings: Listings | None = None,
+) -> Path | None:
     """The file that `reference` names, inside `folder`; None when there is none of that name.
+
+    below: the folder within `folder` of the file that says so, where it is looked for first.
+    listings: kept by a caller that asks often, so that each folder is listed once.
 
     Raises ScanError for URLs, and for absolute paths, `..` and symbolic links that lead outside.
     Case and percent-encoding are forgiven, as exporters differ; so is the folder of the machine
     that wrote the scan, when a file of the same name lies beside it here.
     """
-    found = _inside(folder, reference, named_by)
+    text = reference.strip().strip('"').replace("\\", "/")
+    near = posixpath.normpath(f"{below}/{text}") if below and text[:1] != "/" else text
+    listings = {} if listings is None else listings
+    found = _inside(folder, reference, named_by, text, near, listings)
     NOTES.note(reference, found)
+    if found is None and near != text:
+        NOTES.note(near, None)
     return found
 
 
-def _inside(folder: Path, reference: str, named_by: Path) -> Path | None:
-    text = reference.strip().strip('"').replace("\\", "/")
+def _inside(
+    folder: Path, reference: str, named_by: Path, text: str, near: str, listings: Listings
+) -> Path | None:
     drive = re.match(r"^[A-Za-z]:/", text)
     scheme = re.match(r"^[A-Za-z][A-Za-z0-9+.-]*:", text) and not drive
     pure = PurePosixPath(text)
-    leaves = bool(scheme or drive or _leaves(text))
-    whole = () if leaves else (text, unquote(text))
-    for name in () if scheme else dict.fromkeys((*whole, pure.name, unquote(pure.name))):
-        found = None if _leaves(name) else _find(folder, name)
+    leaves = bool(scheme or drive or _leaves(near))
+    whole = () if leaves else (near, unquote(near), text, unquote(text))
+    # A colon is a letter of names, too.
+    names = (near, text) if scheme else (*whole, pure.name, unquote(pure.name))
+    for name in dict.fromkeys(names):
+        found = None if _leaves(name) else _find(folder, name, listings)
         if found is None:
             continue
         if not found.resolve().is_relative_to(folder.resolve()):
@@ -43,7 +63,7 @@ def _inside(folder: Path, reference: str, named_by: Path) -> Path | None:
                 "copy that file beside the scan",
             )
         return found
-    if leaves or _leaves(unquote(text)):
+    if leaves or _leaves(unquote(near)):
         raise ScanError(
             f"{named_by.name} names {_short(reference)}, which is outside the scan's folder",
             str(named_by),
@@ -60,7 +80,7 @@ def _short(reference: str) -> str:
     return repr(reference if len(reference) <= 120 else reference[:117] + "...")
 
 
-def _find(folder: Path, name: str) -> Path | None:
+def _find(folder: Path, name: str, listings: Listings) -> Path | None:
     """The file of that name below `folder`, in any case; no other folder is ever listed."""
     path, root = folder, folder.resolve()
     try:
@@ -69,11 +89,12 @@ def _find(folder: Path, name: str) -> Path | None:
             if not found.exists():
                 if not (path.is_dir() and path.resolve().is_relative_to(root)):
                     return None
-                wanted = part.lower()
-                alike = sorted(x for x in path.iterdir() if x.name.lower() == wanted)
-                if not alike:
+                if path not in listings:
+                    files = sorted(path.iterdir(), reverse=True)  # of two alike the first stays
+                    listings[path] = {file.name.lower(): file for file in files}
+                if part.lower() not in listings[path]:
                     return None
-                found = alike[0]
+                found = listings[path][part.lower()]
             path = found
         return path if path.is_file() else None
     except (OSError, ValueError):  # a name too long, or with a NUL in it

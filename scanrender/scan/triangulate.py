@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 _MOST_CORNERS = 256  # of a polygon whose ears are cut one by one; a larger one stays a fan
+_MOST_WORK = 30_000_000  # tests of a point in a corner, for all polygons: some 10 s
+_LEAST_WORK = 30  # what a polygon takes beside its tests
 Array = npt.NDArray[Any]
 
 
@@ -27,10 +29,13 @@ def fan_corners(sizes: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
     return np.stack([first, first + step + 1, first + step + 2], axis=1)
 
 
-def polygon_corners(sizes: Array, vertex: Array, positions: Array) -> npt.NDArray[np.int64]:
+def polygon_corners(
+    sizes: Array, vertex: Array, positions: Array, notes: list[str] | None = None
+) -> npt.NDArray[np.int64]:
     """The same (t, 3) of polygons of any shape: a fan where it lies within the polygon, else ears.
 
     vertex (c,): the vertex of each corner; corners that name none (-1 or too large) decide nothing.
+    notes: takes a sentence when there was too much to cut, so that the rest are fans, too.
     Ear clipping: Meisters: Polygons Have Ears, American Mathematical Monthly 82(6), 1975.
     """
     sizes, triangles = np.asarray(sizes, np.int64), fan_corners(sizes)
@@ -49,35 +54,45 @@ def polygon_corners(sizes: Array, vertex: Array, positions: Array) -> npt.NDArra
         against = np.einsum("ij,ij->i", normal, total[owner]) < 0.0
     first = np.cumsum(sizes) - sizes
     row = np.cumsum(np.maximum(sizes - 2, 0)) - np.maximum(sizes - 2, 0)
-    for polygon in np.unique(owner[against]):
+    concave = np.unique(owner[against])
+    concave = concave[sizes[concave] <= _MOST_CORNERS]
+    work = 0
+    for done, polygon in enumerate(concave):
+        if work > _MOST_WORK:
+            if notes is not None:
+                notes.append(f"{len(concave) - done} concave polygons too many: they may be folded")
+            break
         size, start = int(sizes[polygon]), int(first[polygon])
-        if size <= _MOST_CORNERS:
-            ears = _ears(place[start : start + size], total[polygon])
-            triangles[row[polygon] : row[polygon] + size - 2] = start + ears
+        ears, tests = _ears(place[start : start + size], total[polygon])
+        triangles[row[polygon] : row[polygon] + size - 2] = start + ears
+        work += tests
     return triangles
 
 
-def _ears(polygon: Array, normal: Array) -> npt.NDArray[np.int64]:
-    """(n - 2, 3) corners of the triangles of a polygon (n, 3), seen along its normal."""
+def _ears(polygon: Array, normal: Array) -> tuple[npt.NDArray[np.int64], int]:
+    """(n - 2, 3) corners of the triangles of a polygon (n, 3), seen along its normal, and how many
+    points were tested for it at most (and what it takes beside that)."""
     axis = int(np.abs(normal).argmax())
     flat = np.delete(polygon, axis, axis=1)
     if (normal[axis] < 0.0) != (axis == 1):
         flat = flat[:, ::-1]
     points = [(float(x), float(y)) for x, y in flat]
     left = list(range(len(points)))
-    found = []
+    found, tests = [], _LEAST_WORK
     while len(left) > 3:
         for i in range(len(left)):
             ear = left[i - 1], left[i], left[(i + 1) % len(left)]
             corner = [points[k] for k in ear]
             others = (points[k] for k in left if k not in ear)
             if _turn(*corner) > 0.0 and not any(_within(corner, other) for other in others):
+                tests += (i + 1) * len(left)
                 break
         else:  # it crosses itself: nothing is right
+            tests += len(left) ** 2
             i, ear = 1, (left[0], left[1], left[2])
         found.append(ear)
         del left[i]
-    return np.array([*found, tuple(left)], np.int64)
+    return np.array([*found, tuple(left)], np.int64), tests
 
 
 def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scanrender.scan.pages import Page, read_page
 from scanrender.scan.raw import NO_PAGE
 from scanrender.scan.read_mtl import Paged, tile_name
-from scanrender.scan.safe_path import inside
+from scanrender.scan.safe_path import Listings, inside
 
 _LAST = 1999
 Array = npt.NDArray[Any]
@@ -36,12 +36,13 @@ def unfold_tiles(
     row = np.floor(np.where(known, 1.0 - middle[:, 1], 0.0))
     valid = (column >= 0) & (column < 10) & (row >= 0) & (1001 + 10 * row <= _LAST)
     number = np.where(valid, 1001 + column + 10 * row, 0).astype(np.int64)
-    for first, (pattern, normal_pattern) in paged.tiled.items():
+    listings: Listings = {}
+    for first, (pattern, normal_pattern, folder) in paged.tiled.items():
         for tile in np.unique(number[page == first]):
             if tile in (0, 1001):
                 continue
             chosen = (page == first) & (number == tile)
-            image = _tile(path, pattern, int(tile), "srgb")
+            image = _tile(path, pattern, int(tile), "srgb", folder, listings)
             if image is None:
                 notes.append(f"the tile {tile_name(pattern, int(tile))} is missing")
                 if paged.pages[first].name != tile_name(pattern, 1001):
@@ -50,13 +51,17 @@ def unfold_tiles(
             page[chosen] = len(pages)
             pages.append(image)
             normals.append(
-                _tile(path, normal_pattern, int(tile), "linear") if normal_pattern else None
+                _tile(path, normal_pattern, int(tile), "linear", folder, listings)
+                if normal_pattern
+                else None
             )
             corner_uv[chosen, :, 0] -= (tile - 1001) % 10
             corner_uv[chosen, :, 1] += (tile - 1001) // 10
     return Paged(tuple(pages), tuple(normals), page, paged.tiled), page, corner_uv
 
 
-def _tile(path: Path, pattern: str, number: int, encoding: Any) -> Page | None:
-    file = inside(path.parent, tile_name(pattern, number), path)
+def _tile(
+    path: Path, pattern: str, number: int, encoding: Any, folder: str, listings: Listings
+) -> Page | None:
+    file = inside(path.parent, tile_name(pattern, number), path, folder, listings)
     return None if file is None else read_page(file, encoding)
