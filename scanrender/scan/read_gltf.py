@@ -31,6 +31,8 @@ _SPARED = {"uv": "texture coordinates", "colors": "vertex colours"}
 _INSTANCING = "EXT_mesh_gpu_instancing"
 
 
+# Places and coordinates that are not finite are for `ingest` to drop, not for NumPy to warn of.
+@np.errstate(over="ignore", invalid="ignore")
 def read_gltf(path: Path) -> RawMesh:
     """Read a .gltf or .glb. Raises ScanError."""
     file = GltfFile(path)

@@ -246,6 +246,28 @@ def test_morph_targets_are_applied_as_far_as_the_file_says(tmp_path, where):
         made.read(tmp_path / "b.glb")
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "place",
+    [{"scale": [1e400, 1, 1]}, {"translation": [NAN, 0, 0]}, {"rotation": [1e200, 0, 0, 1]}],
+    ids=str,
+)
+def test_nodes_that_are_nowhere(tmp_path, place):
+    made = Gltf()
+    made.document["nodes"][0].update(place)
+    with pytest.raises(ScanError, match="no usable face"):
+        made.read(tmp_path / "a.glb")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("transform", [{"rotation": 1e400}, {"offset": [1e300, 0]}], ids=str)
+def test_texture_transforms_that_lead_nowhere(tmp_path, transform):
+    made = Gltf()
+    made.textured(tmp_path, extensions={"KHR_texture_transform": transform})
+    raw = made.read(tmp_path / "a.glb")
+    assert raw.notes == ("12 faces have an image but no texture coordinates",)
+
+
 def test_instances_of_an_extension_are_said_to_be_ignored(tmp_path):
     made = Gltf()
     made.document["extensionsUsed"] = ["EXT_mesh_gpu_instancing"]
