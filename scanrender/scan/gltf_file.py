@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import tempfile
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 import numpy.typing as npt
 
 from scanrender.errors import ScanError
 from scanrender.scan.pages import Encoding, Page, read_page
+from scanrender.scan.printable import printable
 from scanrender.scan.safe_path import inside
 
 _COMPONENT = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -50,15 +53,17 @@ class GltfFile:
             raise ScanError(f"{path.name} is not a glTF document", str(path), "export it again")
         version = str(self.json.get("asset", {}).get("version", "2.0"))
         if not version.startswith("2"):
-            raise self._old(version[:10])
+            raise self._old(printable(version[:10]))
         unknown = set(self.json.get("extensionsRequired", [])) - _UNDERSTOOD
         if unknown:
+            names = printable(", ".join(sorted(unknown)))
             raise ScanError(
-                f"{path.name} requires {', '.join(sorted(unknown))}, which is not supported",
+                f"{path.name} requires {names}, which is not supported",
                 str(path),
                 "export it without that extension, or with Draco instead",
             )
         self._buffers: dict[int, bytes] = {}
+        self._pages: dict[tuple[int, Encoding], Page | None] = {}
 
     def _old(self, version: str) -> ScanError:
         return ScanError(
@@ -72,7 +77,8 @@ class GltfFile:
         entries = self.json.get(kind, [])
         if not isinstance(index, int) or not 0 <= index < len(entries):
             raise ScanError(
-                f"{self.path.name} names {kind} {str(index)[:20]}, of which it has {len(entries)}",
+                f"{self.path.name} names {kind} {printable(str(index)[:20])}, "
+                f"of which it has {len(entries)}",
                 str(self.path),
                 "export it again",
             )
@@ -96,7 +102,7 @@ class GltfFile:
             kind = data[position + 4 : position + 8]
             content = data[position + 8 : position + 8 + size]
             if kind == b"JSON":
-                text = content
+                text = content.rstrip(b"\0")  # blanks by the specification
             elif kind == b"BIN\0":
                 self.binary = content
             position += 8 + size
@@ -108,9 +114,9 @@ class GltfFile:
             uri = entry.get("uri")
             content = self.binary if uri is None else self._referenced(uri)
             if len(content) < entry["byteLength"] and "extensions" in entry:
+                by = printable(", ".join(entry["extensions"]))
                 raise ScanError(
-                    f"{self.path.name} is compressed by {', '.join(entry['extensions'])}, "
-                    "which is not supported",
+                    f"{self.path.name} is compressed by {by}, which is not supported",
                     str(self.path),
                     "export it uncompressed, or with Draco",
                 )
@@ -128,10 +134,10 @@ class GltfFile:
         start, size = entry.get("byteOffset", 0), entry["byteLength"]
         content = self.buffer(entry["buffer"])
         if start < 0 or size < 0 or start + size > len(content):
-            raise self._leaves("a buffer view leaves its buffer")
+            raise self.broken("a buffer view leaves its buffer")
         return content[start : start + size]
 
-    def _leaves(self, what: str) -> ScanError:
+    def broken(self, what: str) -> ScanError:
         return ScanError(f"{self.path.name}: {what}", str(self.path), "copy or export it again")
 
     def accessor(self, index: int) -> npt.NDArray[Any]:
@@ -164,7 +170,7 @@ class GltfFile:
         stride = view.get("byteStride") or dtype.itemsize * width
         last = offset + stride * (count - 1) + dtype.itemsize * width
         if count and (offset < 0 or stride < 0 or last > len(content)):
-            raise self._leaves("an accessor leaves its buffer")
+            raise self.broken("an accessor leaves its buffer")
         return np.ndarray((count, width), dtype, content, offset, (stride, dtype.itemsize)).copy()
 
     def _sparse(
@@ -181,8 +187,8 @@ class GltfFile:
         new = np.frombuffer(
             self.view(what["bufferView"]), dtype, count * width, what.get("byteOffset", 0)
         )
-        if count and int(index.max()) >= len(values):
-            raise self._leaves("a sparse accessor names elements that it does not have")
+        if count and not 0 <= int(index.min()) <= int(index.max()) < len(values):
+            raise self.broken("a sparse accessor names elements that it does not have")
         values = values.copy()
         values[index] = new.reshape(count, width)
         return values
@@ -195,17 +201,29 @@ class GltfFile:
         if source is None:
             notes.append("a texture has no PNG, JPEG or WebP image: it is ignored")
             return None
+        if (source, encoding) not in self._pages:
+            self._pages[source, encoding] = self._image(source, encoding, notes)
+        return self._pages[source, encoding]
+
+    def _image(self, source: int, encoding: Encoding, notes: list[str]) -> Page | None:
         image = self.entry("images", source)
-        name = image.get("name") or f"image {source}"
+        name = printable(image.get("name") or f"image {source}")
         uri = image.get("uri", "")
         if "bufferView" not in image and not uri.startswith("data:"):
-            file = inside(self.path.parent, uri, self.path)
+            file = self._beside(uri)
             if file is None:
-                notes.append(f"the image {uri} is missing")
+                notes.append(f"the image {printable(uri)} is missing")
                 return None
-            return read_page(file, encoding)
+            return read_page(file, encoding, printable(file.name))
         content = self.view(image["bufferView"]) if "bufferView" in image else self._referenced(uri)
         return self._decoded(content, name, encoding, notes)
+
+    def _beside(self, uri: str) -> Path | None:
+        """The file of that name, or of what is left without a query (`?v=2`) or fragment."""
+        plain = re.split("[?#]", uri, maxsplit=1)[0]
+        names = dict.fromkeys((uri, plain))
+        found = (inside(self.path.parent, name, self.path) for name in names)
+        return next((file for file in found if file is not None), None)
 
     def _decoded(
         self, content: bytes, name: str, encoding: Encoding, notes: list[str]
@@ -224,12 +242,14 @@ class GltfFile:
     def _referenced(self, uri: str) -> bytes:
         if uri.startswith("data:"):
             try:
-                return base64.b64decode(uri.partition(",")[2])
+                return base64.b64decode(unquote(uri.partition(",")[2]))
             except ValueError as error:
-                raise self._leaves("embedded data is not base64") from error
-        file = inside(self.path.parent, uri, self.path)
+                raise self.broken("embedded data is not base64") from error
+        file = self._beside(uri)
         if file is None:
             raise ScanError(
-                f"{self.path.name} needs {uri}, which is missing", str(self.path), "copy it too"
+                f"{self.path.name} needs {printable(uri)}, which is missing",
+                str(self.path),
+                "copy it too",
             )
         return file.read_bytes()

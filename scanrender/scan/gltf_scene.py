@@ -1,6 +1,7 @@
-"""The scene of a glTF: where each mesh stands, and how its skin bends it.
+"""The scene of a glTF: where each mesh stands, and how morph targets and its skin bend it.
 
-Khronos glTF 2.0 specification, sections 3.5 (scenes and nodes) and 3.7.3 (skins).
+Khronos glTF 2.0 specification, sections 3.5 (scenes and nodes), 3.7.2.2 (morph targets) and 3.7.3
+(skins).
 """
 
 from __future__ import annotations
@@ -18,21 +19,25 @@ from scanrender.scan.gltf_file import GltfFile
 
 Array = npt.NDArray[Any]
 _DEEPEST = 64
-_MOST_NODES = 100_000  # visited: nodes that share children multiply, and a few lines make 2^64
+# Visited: nodes that share children multiply, and a few lines make 2^64.
+_MOST_NODES = 100_000
+_MOST_PRIMITIVES = 100_000
 
 
 @dataclass(frozen=True)
 class Instance:
-    """A mesh of the scene. matrix (4, 4) world from mesh; joints (j, 4, 4) world from mesh for each
-    joint of its skin, or None."""
+    """A mesh of the scene. weights of its morph targets, empty where all are 0; matrix (4, 4) world
+    from mesh; joints (j, 4, 4) world from mesh for each joint of its skin, or None."""
 
     mesh: int
+    weights: tuple[float, ...]
     matrix: Array
     joints: Array | None
 
 
 def instances(file: GltfFile) -> list[Instance]:
-    """The meshes of the default scene. Raises ScanError for nodes without end."""
+    """The meshes of the default scene. Raises ScanError for nodes without end and for more
+    primitives, counted once for each node that shows them, than a scan can have."""
     nodes, scenes = file.json.get("nodes", []), file.json.get("scenes", [])
     if scenes:
         roots = file.entry("scenes", file.json.get("scene", 0)).get("nodes", [])
@@ -41,7 +46,7 @@ def instances(file: GltfFile) -> list[Instance]:
         roots = [i for i in range(len(nodes)) if i not in children]
     world: dict[int, Array] = {}
     found: list[tuple[dict[str, Any], Array]] = []
-    visited = 0
+    visited = primitives = 0
     waiting = [(root, np.eye(4), 0) for root in reversed(roots)]
     while waiting:
         index, parent, depth = waiting.pop()
@@ -54,8 +59,39 @@ def instances(file: GltfFile) -> list[Instance]:
         matrix = world[index] = parent @ _local(node)
         if "mesh" in node:
             found.append((node, matrix))
+            primitives += len(file.entry("meshes", node["mesh"]).get("primitives", []))
+        if primitives > _MOST_PRIMITIVES:
+            raise ScanError(
+                f"{file.path.name} shows more than {_MOST_PRIMITIVES:,} meshes",
+                str(file.path),
+                "join them, or export a part",
+            )
         waiting += [(child, matrix, depth + 1) for child in reversed(node.get("children", []))]
-    return [Instance(node["mesh"], at, _joints(file, node, world)) for node, at in found]
+    return [
+        Instance(node["mesh"], _weights(file, node), at, _joints(file, node, world))
+        for node, at in found
+    ]
+
+
+def _weights(file: GltfFile, node: dict[str, Any]) -> tuple[float, ...]:
+    stored = node.get("weights") or file.entry("meshes", node["mesh"]).get("weights") or ()
+    weights = tuple(float(weight) for weight in stored)
+    if not np.isfinite(weights).all():
+        raise file.broken("its morph targets have weights that are not finite")
+    return weights if any(weights) else ()
+
+
+def morphed(
+    file: GltfFile, primitive: Mapping[str, Any], positions: Array, weights: tuple[float, ...]
+) -> Array:
+    """Positions (n, 3) of a primitive moved by its morph targets."""
+    for target, weight in zip(primitive.get("targets", ()), weights, strict=False):
+        if weight and "POSITION" in target:
+            moved = file.accessor(target["POSITION"])
+            if moved.shape != positions.shape:
+                raise file.broken("its morph targets do not fit its vertices")
+            positions = positions + weight * moved
+    return positions
 
 
 def _joints(file: GltfFile, node: dict[str, Any], world: Mapping[int, Array]) -> Array | None:
@@ -67,16 +103,17 @@ def _joints(file: GltfFile, node: dict[str, Any], world: Mapping[int, Array]) ->
         stored = file.accessor(skin["inverseBindMatrices"]).astype(np.float64)
         inverse = stored.reshape(-1, 4, 4).transpose(0, 2, 1)[: len(skin["joints"])]
     # A joint outside the scene stays where its mesh was bound.
-    rest = [np.linalg.inv(matrix) for matrix in inverse]
-    at = [world.get(joint, rest[i]) for i, joint in enumerate(skin["joints"][: len(inverse)])]
-    return np.reshape(at, (-1, 4, 4)) @ inverse
+    pairs = zip(skin["joints"], inverse, strict=False)
+    moved = [world[joint] @ bound if joint in world else np.eye(4) for joint, bound in pairs]
+    return np.reshape(moved, (-1, 4, 4))
 
 
 def skinned(part: Mapping[str, Array], joints: Array, path: Path) -> Array:
     """Positions (n, 3) in the scene, of positions, joints (n, 4) and weights (n, 4) of a mesh."""
-    which = part["joints"].astype(np.int64)
+    which = part["joints"]
     weight = np.maximum(part["weights"].astype(np.float64), 0.0)
-    if which.shape != weight.shape or int(which.max(initial=0)) >= len(joints):
+    known = (which >= 0) & (which < len(joints))
+    if which.dtype.kind not in "iu" or which.shape != weight.shape or not known.all():
         raise ScanError(
             f"{path.name}: its skin names joints that it does not have", str(path), "export again"
         )

@@ -1,10 +1,11 @@
-"""glTF and GLB: every triangle of the default scene, nodes and skins applied, Draco decoded.
+"""glTF and GLB: every triangle of the default scene, nodes, morph targets and skins applied.
 
 Vertices come out in the file's own unit, which the specification fixes as metres with +Y up.
 """
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -13,38 +14,71 @@ import numpy.typing as npt
 
 from scanrender.errors import ScanError
 from scanrender.scan.gltf_file import GltfFile
-from scanrender.scan.gltf_scene import instances, skinned
+from scanrender.scan.gltf_scene import Instance, instances, morphed, skinned
 from scanrender.scan.pages import Page, constant_page
+from scanrender.scan.printable import printable
 from scanrender.scan.raw import NO_PAGE, RawMesh
 from scanrender.scan.triangulate import strip_faces
 
 Array = npt.NDArray[Any]
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _MOST_TRIANGLES = 1 << 28
+_WIDTHS: dict[str, tuple[int, ...]] = {
+    "positions": (3,), "uv": (2,), "colors": (3, 4), "joints": (4,), "weights": (4,)
+}  # fmt: skip
+# What the mesh is usable without; the others are refused where they do not fit.
+_SPARED = {"uv": "texture coordinates", "colors": "vertex colours"}
+_INSTANCING = "EXT_mesh_gpu_instancing"
 
 
+# Places and coordinates that are not finite are for `ingest` to drop, not for NumPy to warn of.
+@np.errstate(over="ignore", invalid="ignore")
 def read_gltf(path: Path) -> RawMesh:
     """Read a .gltf or .glb. Raises ScanError."""
     file = GltfFile(path)
     notes: list[str] = []
     parts = _Parts()
     materials = _Materials(file, notes)
-    for instance in instances(file):
-        for primitive in file.entry("meshes", instance.mesh).get("primitives", []):
+    if _INSTANCING in (file.json.get("extensionsUsed") or ()):
+        notes.append(f"the copies that {_INSTANCING} makes are ignored: each mesh is read once")
+    for (mesh, weights), places in _by_shape(instances(file)).items():
+        for primitive in file.entry("meshes", mesh).get("primitives", []):
             if primitive.get("mode", _TRIANGLES) not in (_TRIANGLES, _STRIP, _FAN):
                 notes.append("points and lines are ignored")
                 continue
-            part = _primitive(file, primitive, materials)
-            if instance.joints is not None and "joints" in part and "weights" in part:
-                part["positions"] = skinned(part, instance.joints, file.path)
-                parts.add(part, np.eye(4))  # the node of a skinned mesh does not move it
-            else:
-                parts.add(part, instance.matrix)
-            if parts.triangles > _MOST_TRIANGLES:
-                raise ScanError(f"{path.name} has too many triangles", str(path), "export a part")
+            part = _primitive(file, primitive, weights, materials)
+            for place in places:
+                parts.add(*_placed(part, place, path))
+                if parts.triangles > _MOST_TRIANGLES:
+                    what = f"{path.name} has too many triangles"
+                    raise ScanError(what, str(path), "export a part")
     if not parts.positions:
-        raise ScanError(f"{path.name} has no triangles", str(path), "export it again as a mesh")
+        raise _nothing(file)
     return parts.joined(materials, notes)
+
+
+def _by_shape(found: list[Instance]) -> dict[tuple[int, tuple[float, ...]], list[Instance]]:
+    """Where each mesh stands: whatever stands in several places is decoded once."""
+    places: dict[tuple[int, tuple[float, ...]], list[Instance]] = {}
+    for instance in found:
+        places.setdefault((instance.mesh, instance.weights), []).append(instance)
+    return places
+
+
+def _placed(part: dict[str, Any], place: Instance, path: Path) -> tuple[dict[str, Any], Array]:
+    if place.joints is None or "joints" not in part or "weights" not in part:
+        return part, place.matrix
+    # The node of a skinned mesh does not move it.
+    return {**part, "positions": skinned(part, place.joints, path)}, np.eye(4)
+
+
+def _nothing(file: GltfFile) -> ScanError:
+    where, name = str(file.path), file.path.name
+    if file.json.get("meshes") and not instances(file):
+        return ScanError(
+            f"{name}: no node of its scene shows its meshes", where, "export the scene, not parts"
+        )
+    return ScanError(f"{name} has no triangles", where, "export it again as a mesh")
 
 
 class _Materials:
@@ -74,7 +108,7 @@ class _Materials:
         if color is None and glow is not None:  # how exporters keep a photograph from being lit
             color, factor = glow, entry.get("emissiveFactor", [1, 1, 1])
             self.notes.append("a material has its image as light of its own: it is the colour here")
-        rgb = (float(factor[0]), float(factor[1]), float(factor[2]))
+        rgb = _fractions(factor, self.notes)
         page = None
         if color is not None:
             page = self.file.page(color["index"], "srgb", self.notes)
@@ -83,7 +117,7 @@ class _Materials:
         if page is None:
             if max(rgb) - min(rgb) < 0.02:
                 return NO_PAGE, 0, {}
-            page, color = constant_page(entry.get("name", "material"), rgb), {}
+            page, color = constant_page(printable(entry.get("name", "material")), rgb), {}
         normal = entry.get("normalTexture")
         channel = (color or {}).get("texCoord", 0)
         same_set = normal is not None and normal.get("texCoord", 0) == channel
@@ -103,14 +137,25 @@ class _Materials:
         # Linear by the specification, which also wants integers to be marked as fractions.
         full = float(np.iinfo(colors.dtype).max) if colors.dtype.kind in "iu" else 1.0
         colors = colors[:, :3].astype(np.float32) / np.float32(full)
-        colors = colors / 255.0 if colors.max(initial=0.0) > 1.5 else colors
+        known = np.isfinite(colors).all(axis=1)
+        full = 255.0 if colors[known].max(initial=0.0) > 1.5 else 1.0
+        colors = np.clip(colors / np.float32(full), 0.0, 1.0)
+        if page != NO_PAGE and max(self.pages[page].size) > 1:
+            if (colors < 0.99).any():
+                self.notes.append(
+                    "vertex colours beside a texture are ignored: the texture is used"
+                )
+            return None, page
+        if len(colors) and not known.any():
+            self.notes.append("the vertex colours are not numbers: they are ignored")
+            return None, page
+        if not known.all():
+            count = int((~known).sum())
+            self.notes.append(f"{count} vertices have no colour: they take the mean one")
+            colors = np.where(known[:, None], colors, colors[known].mean(axis=0))
         if page == NO_PAGE:
             return colors, page
-        if max(self.pages[page].size) == 1:
-            return colors * np.asarray(self.pages[page].factor, np.float32), NO_PAGE
-        if len(colors) and float(colors.min()) < 0.99:
-            self.notes.append("vertex colours beside a texture are ignored: the texture is used")
-        return None, page
+        return colors * np.asarray(self.pages[page].factor, np.float32), NO_PAGE
 
 
 class _Parts:
@@ -173,7 +218,23 @@ class _Parts:
                 self.page[i] = np.full_like(page, NO_PAGE)
 
 
-def _primitive(file: GltfFile, primitive: dict[str, Any], materials: _Materials) -> dict[str, Any]:
+def _fractions(stored: list[Any], notes: list[str]) -> tuple[float, float, float]:
+    """Red, green and blue of a factor, which the specification wants to be in [0, 1]."""
+    red, green, blue = (float(value) for value in stored[:3])
+    rgb = (red, green, blue)
+    if all(0.0 <= value <= 1.0 for value in rgb):
+        return rgb
+    notes.append("a material has a colour that is not a fraction: it is made one")
+    red, green, blue = (min(max(v, 0.0), 1.0) if math.isfinite(v) else 1.0 for v in rgb)
+    return red, green, blue
+
+
+def _primitive(
+    file: GltfFile,
+    primitive: dict[str, Any],
+    weights: tuple[float, ...],
+    materials: _Materials,
+) -> dict[str, Any]:
     page, channel, transform = materials.page(primitive.get("material"))
     names = {
         "POSITION": "positions",
@@ -189,18 +250,37 @@ def _primitive(file: GltfFile, primitive: dict[str, Any], materials: _Materials)
         present = {k: v for k, v in primitive["attributes"].items() if k in names}
         found = {names[k]: file.accessor(v) for k, v in present.items()}
         faces = _triangles(file, primitive, len(found["positions"]))
+    found = _fitting(found, file, materials.notes)
     uv, colors = found.get("uv"), found.get("colors")
     if uv is not None and transform:
         uv = _transformed(uv, transform)
     if colors is not None:
         colors, page = materials.tinted(colors, page)
-    found.update(positions=found["positions"].astype(np.float64), faces=faces)
-    return {**found, "uv": uv, "colors": colors, "page": page}
+    positions = morphed(file, primitive, found["positions"].astype(np.float64), weights)
+    return {
+        **found, "positions": positions, "faces": faces, "uv": uv, "colors": colors, "page": page
+    }  # fmt: skip
+
+
+def _fitting(found: dict[str, Array], file: GltfFile, notes: list[str]) -> dict[str, Array]:
+    """The attributes that have one row of the right width for each vertex."""
+    fitting = {}
+    for name, values in found.items():
+        if len(values) == len(found["positions"]) and values.shape[1] in _WIDTHS[name]:
+            fitting[name] = values
+        elif name in _SPARED:
+            notes.append(f"{_SPARED[name]} that do not fit the vertices are ignored")
+        else:
+            raise file.broken(f"its {name} are not {_WIDTHS[name][0]} numbers for each vertex")
+    return fitting
 
 
 def _triangles(file: GltfFile, primitive: dict[str, Any], vertex_count: int) -> Array:
     if "indices" in primitive:
-        indices = file.accessor(primitive["indices"])[:, 0].astype(np.int64)
+        stored = file.accessor(primitive["indices"])
+        if stored.dtype.kind not in "iu" or stored.shape[1] != 1:
+            raise file.broken("its indices are not whole numbers, one for each corner")
+        indices = stored[:, 0].astype(np.int64)
     else:
         indices = np.arange(vertex_count)
     mode = primitive.get("mode", _TRIANGLES)
@@ -217,7 +297,10 @@ def _draco(
 ) -> tuple[dict[str, Array], Array]:
     import DracoPy
 
-    mesh = DracoPy.decode(file.view(extension["bufferView"]))
+    try:
+        mesh = DracoPy.decode(file.view(extension["bufferView"]))
+    except DracoPy.FileTypeException as error:  # derived from nothing narrower than Exception
+        raise file.broken("its Draco data is damaged") from error
     by_id = {a["unique_id"]: a for a in mesh.attributes}
     found: dict[str, Array] = {}
     for semantic, unique_id in extension["attributes"].items():
@@ -225,7 +308,7 @@ def _draco(
             data = np.asarray(by_id[unique_id]["data"])
             found[names[semantic]] = data.reshape(len(data), -1)
     if not np.asarray(found["positions"]).any():
-        raise ScanError(f"{file.path.name}: Draco gave only zeros", str(file.path))
+        raise file.broken("Draco gave only zeros")
     return found, np.asarray(mesh.faces, np.int64).reshape(-1, 3)
 
 
