@@ -143,7 +143,8 @@ def _as_is(
     """The scan's own coordinates. Raises ValueError where they do not make one map of it all."""
     if blank := int((~np.isfinite(uv).all(axis=(1, 2))).sum()):
         raise ValueError(
-            f"{blank} faces have no texture coordinates, as those that close a hole or the neck"
+            f"{blank:,} of {len(uv):,} faces have no texture coordinates, "
+            "as those that close a hole or the neck"
         )
     if page is not None and len(np.unique(page)) > 1:
         raise ValueError("the faces lie on several texture pages, which cannot share one map")
