@@ -33,7 +33,8 @@ class WorkerProcess:
         """`sharers`: workers among whom this machine's cores are shared."""
         self.stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  as long as its worker
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "scanrender.batch.worker"],
+            # -P: as in scan/child.py, nothing is imported from the folder that one stands in.
+            [sys.executable, "-P", "-m", "scanrender.batch.worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self.stderr,

@@ -117,7 +117,7 @@ def _filters() -> Check:
     """Asked in a child process, as everything of pymeshlab is."""
     from scanrender.scan.meshlab import SELF_INTERSECTION
 
-    command = [sys.executable, "-c", _LIST_FILTERS, SELF_INTERSECTION]
+    command = [sys.executable, "-P", "-c", _LIST_FILTERS, SELF_INTERSECTION]
     try:
         answer = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
         missing = json.loads(answer.stdout.strip().splitlines()[-1])

@@ -191,7 +191,8 @@ def _copied(arguments: list[str], stderr: IO[bytes]) -> Copy:
 
 def _started(arguments: list[str], stderr: IO[bytes], own_group: bool) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
-        [sys.executable, "-m", "scanrender.scan.worker", *arguments],
+        # -P: a json.py in the folder that one stands in, of scans perhaps, is not imported.
+        [sys.executable, "-P", "-m", "scanrender.scan.worker", *arguments],
         stdin=subprocess.PIPE,  # its end tells the child that we are gone
         stdout=subprocess.PIPE,
         stderr=stderr,

@@ -77,7 +77,7 @@ def read_ply(path: Path) -> RawMesh:
         )
     of_face = _singles(face_table, "faces", notes)
     textures = header.textures
-    if not textures and corner_uv is not None and (image := lone_image(path)) is not None:
+    if not textures and corner_uv is not None and (image := lone_image(path, notes)) is not None:
         notes.append(f"the file names no texture: {image.name}, beside the scan, is used")
         textures = [image.name]
     pages, index = _pages(path, textures, notes)
@@ -167,7 +167,7 @@ def _faces(
         corners = _whole(indices[1])
         if _strips(tables) is not None:
             notes.append("the scan has faces and triangle strips: the strips are not read")
-        triangles = polygon_corners(sizes, corners, positions)
+        triangles = polygon_corners(sizes, corners, positions, notes)
         polygon_of = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
         faces = np.take(corners, triangles)
         uv = _corner_uv(face.get("texcoord"), sizes)

@@ -39,7 +39,7 @@ def read_stl(path: Path) -> RawMesh:
     if is_whole:
         corners, colors = _binary_facets(data, count, notes)
     elif solid and b"facet" in text[:65536].lower():
-        corners = _ascii_corners(text, path)
+        corners = _ascii_corners(text, path, notes)
     elif solid and b"endsolid" in text.lower():
         corners = np.zeros((0, 3, 3))
     elif count >= 0 and len(data) > size > 84:
@@ -92,7 +92,7 @@ def _binary_facets(data: bytes, count: int, notes: list[str]) -> tuple[Array, Co
     return table["corner"].astype(np.float64), colors
 
 
-def _ascii_corners(data: bytes, path: Path) -> Array:
+def _ascii_corners(data: bytes, path: Path, notes: list[str]) -> Array:
     found = _VERTEX.findall(data)
     sizes = _loop_sizes(data, len(found))
     if sizes is None:
@@ -101,7 +101,7 @@ def _ascii_corners(data: bytes, path: Path) -> Array:
     if b"#" in data:
         words = [b"nan" if b"#" in word else word for word in words]
     positions = floats(words).reshape(-1, 3)
-    return positions[polygon_corners(sizes, np.arange(len(positions)), positions)]
+    return positions[polygon_corners(sizes, np.arange(len(positions)), positions, notes)]
 
 
 def _loop_sizes(data: bytes, count: int) -> npt.NDArray[np.int64] | None:
@@ -148,8 +148,8 @@ def read_off(path: Path) -> RawMesh:
         raise ScanError(f"{path.name}: a face line is cut short", str(path), "export it again")
     flat = [index for row, n in zip(face_rows, sizes, strict=True) for index in row[1 : n + 1]]
     corners = integers(flat)
-    faces = corners[polygon_corners(sizes, corners, positions)]
     notes: list[str] = []
+    faces = corners[polygon_corners(sizes, corners, positions, notes)]
     colors = _vertex_colors(kind, rows, notes)
     if colors is None:
         per_face = _face_colors(face_rows, sizes, notes)

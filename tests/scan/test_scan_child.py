@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scan_shapes import grid
 
+from scanrender.batch.process import WorkerProcess
 from scanrender.errors import StageError
 from scanrender.scan import child
 from scanrender.scan.child import run_task, started_early
@@ -35,6 +36,21 @@ def test_a_child_started_early_does_the_work_and_leaves_nothing(copied):
     expected, same = unwrap_by_charts(arrays, params)
     assert report == same
     np.testing.assert_allclose(result["packed"], expected["packed"], atol=1e-12)
+
+
+def test_no_module_is_imported_from_the_folder_that_one_stands_in(tmp_path, monkeypatch):
+    """Nothing beside a scan can run code, whatever it is called."""
+    for name in ("json", "numpy", "sitecustomize"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('imported from beside the scan')")
+    monkeypatch.chdir(tmp_path)
+    positions, faces = hills(6)
+    arrays = {"positions": positions, "faces": faces}
+    result, _ = run_task("charts", arrays, {"padding": 0.01}, 60.0)
+    assert len(result["chart"]) == len(faces)
+    worker = WorkerProcess(1)
+    worker.let_go()  # it ends when nobody asks for more
+    assert worker.process.wait(60.0) == 0
+    worker.end()
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no copies")
