@@ -25,7 +25,11 @@ if TYPE_CHECKING:
 )
 @options.overrides
 @options.out("out/asset")
-@click.option("--as-is", is_flag=True, help="Keep the raw triangles: no simplify, no unwrap.")
+@click.option(
+    "--as-is",
+    is_flag=True,
+    help="Keep the raw triangles, and texture coordinates that make one map.",
+)
 @options.progress
 @options.as_json
 @options.debug
