@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @click.option(
     "--as-is",
     is_flag=True,
-    help="Keep the raw triangles, and texture coordinates that make one map.",
+    help="Keep the raw triangles, and texture coordinates if they fit one map.",
 )
 @options.progress
 @options.as_json
