@@ -25,6 +25,7 @@ ASSUMED_MM = 320.0  # head with neck, when nothing else can be said
 TURN_DEG = 15.0  # a face that looks further than this past an axis is turned onto it
 _FLAT = 0.02
 _BULK = 5.0  # times the size of nearly all vertices: more is a size that a few of them make
+_LIKELY_MM = (10.0, 5000.0)  # from a fingertip to a group of people: else the unit is another
 _NO_HEIGHT = 1e-6  # of the largest extent: rounding
 _BASE = 0.2  # the lowest part of a bust, where the rim of its base lies even when it is tilted
 # An axis, the reason, and the confidence: stated, high, medium or low.
@@ -97,6 +98,12 @@ def find_frame(
     warnings = []
     if units["confidence"] == "low":
         warnings.append(f"the scale is a guess: {units['reason']}; state scan.units or height_mm")
+    size_mm = float((high - low).max()) * units["mm_per_unit"]
+    if units["confidence"] == "stated" and not _LIKELY_MM[0] <= size_mm <= _LIKELY_MM[1]:
+        warnings.append(
+            f"the scan is {size_mm:.3g} mm large, as scan.units or scan.height_mm states it: "
+            "if that is not what it shows, state another, or none"
+        )
     unsure = [name for name, verdict in (("up", up), ("front", front)) if verdict[2] == "low"]
     if unsure:
         warnings.append(

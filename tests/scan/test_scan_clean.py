@@ -214,6 +214,23 @@ def test_the_height_of_a_sheet_that_has_none_is_no_scale():
     assert upright.mm_per_unit == pytest.approx(5.0)
 
 
+@pytest.mark.parametrize(
+    ("units", "size", "warned"),
+    [
+        ("mm", "0.24 mm", True),
+        ("m", "240 mm", False),
+        ("cm", "2.4 mm", True),
+        (1e6, "e+05 mm", True),
+    ],
+)
+def test_a_stated_unit_that_fits_nothing_is_warned_of(units, size, warned):
+    positions, faces, _ = sphere(0.12)
+    frame = find_frame(RawMesh(positions, faces), positions, faces, ScanSettings(units=units))
+    said = [warning for warning in frame.warnings if "mm large" in warning]
+    assert len(said) == warned
+    assert all(size in warning for warning in said)
+
+
 def test_far_away_scans_are_recentred_without_loss():
     positions, faces, _ = sphere(150.0)
     far = positions + np.array([4.4e5, 5.3e6, 120.0])
