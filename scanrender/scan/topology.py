@@ -72,7 +72,8 @@ def _edges_of(faces: Array) -> Edges:
     for corner in range(3):
         cut = slice(corner * size, (corner + 1) * size)
         start, end = faces[:, corner], faces[:, (corner + 1) % 3]
-        np.multiply(np.minimum(start, end), stride, out=key[cut])
+        # Said, since NumPy multiplies 32 bits by a Python integer in 32 bits, whatever `out` holds.
+        np.multiply(np.minimum(start, end), stride, out=key[cut], dtype=np.int64)
         key[cut] += np.maximum(start, end)
         np.less(start, end, out=forward[cut])
     order = sorted_order(key)

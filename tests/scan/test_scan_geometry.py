@@ -24,7 +24,7 @@ from scanrender.scan.tangents import (
     to_tangent_space,
     vertex_tangents,
 )
-from scanrender.scan.topology import face_areas, unit, vertex_areas, vertex_normals
+from scanrender.scan.topology import components, face_areas, unit, vertex_areas, vertex_normals
 from scanrender.scan.unwrap import unwrap
 from scanrender.scan.unwrap_box import pack_shelves, project
 from scanrender.settings.prep import BakeSettings, UnwrapSettings
@@ -291,3 +291,11 @@ def test_meshlab_counts_self_intersections():
         pytest.skip("pymeshlab cannot be loaded here")
     assert count > 0
     assert count_self_intersections(one, faces, 60.0) == 0
+
+
+@pytest.mark.parametrize("kind", [np.int64, np.int32, np.uint32])
+def test_pieces_are_counted_whatever_integers_name_the_vertices(kind):
+    """Two vertices' numbers make one of 64 bits: 200,000 squared is more than 32 hold."""
+    number = np.arange(200_000)
+    strip = np.stack([number[:-2], number[1:-1], number[2:]], axis=1)
+    assert components(strip.astype(kind), len(number))[0] == 1
