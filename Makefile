@@ -28,9 +28,9 @@ help:  ## Show this list
 demo: $(STAMP)  ## Make a raw head, prepare it, render its turntable into out/demo
 	@$(BIN)/scanrender demo --out $(OUT) $(ARGS)
 
-# One thread a process for the software rasteriser and BLAS: the processes share the cores already.
+# One thread a process for BLAS: the processes share the cores already.
 test: $(STAMP)  ## Run all tests (ARGS="-k name" for some)
-	@LP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) $(ARGS)
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) $(ARGS)
 
 lint: $(STAMP)  ## Check style (ruff) and types (mypy)
 	@$(BIN)/ruff check .

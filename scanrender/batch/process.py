@@ -126,7 +126,7 @@ def _environment(sharers: int) -> dict[str, str]:
     affinity = getattr(os, "sched_getaffinity", None)
     cores = len(affinity(0)) if affinity else os.cpu_count() or 1
     share = str(max(1, cores // sharers))
-    shares = {"LP_NUM_THREADS": share, "OMP_NUM_THREADS": share, THREADS: share}
+    shares = {"OMP_NUM_THREADS": share, THREADS: share}
     return {**shares, "OPENBLAS_NUM_THREADS": "1", **os.environ, **own}
 
 

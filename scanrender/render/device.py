@@ -6,8 +6,10 @@ server; Mesa's llvmpipe is a supported and the reference device.
 
 from __future__ import annotations
 
+import contextlib
+import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,7 @@ from scanrender.errors import DeviceError
 from scanrender.resources import shader_folder
 
 REQUIRED_GL = 330
+RASTER_THREADS = "LP_NUM_THREADS"
 _INCLUDE = re.compile(r'^#include "([\w.]+)"$', re.MULTILINE)
 _NO_GL = (
     "install EGL and Mesa's software driver (Debian: apt-get install libegl1 libgl1 "
@@ -135,7 +138,8 @@ def device() -> Device:
     ]
     for names in attempts:
         try:
-            context = moderngl.create_context(standalone=True, require=REQUIRED_GL, **names)
+            with _without_raster_threads():
+                context = moderngl.create_context(standalone=True, require=REQUIRED_GL, **names)
         except Exception as error:  # noqa: BLE001  glcontext raises bare Exceptions
             problems.append(str(error))
             continue
@@ -144,6 +148,24 @@ def device() -> Device:
         context.gc_mode = "context_gc"
         return Device(context)
     raise DeviceError(f"no usable OpenGL: {problems[0]}", fix=_NO_GL)
+
+
+@contextlib.contextmanager
+def _without_raster_threads() -> Iterator[None]:
+    """llvmpipe draws in the thread that asks, unless the user's environment has LP_NUM_THREADS.
+
+    Its own threads write into freed memory now and then: `lp_fence_signalled` reads a fence's count
+    without its lock, so that the fence can be freed while a thread is still unlocking it
+    (docs/decisions/0034).
+    """
+    if RASTER_THREADS in os.environ:
+        yield
+        return
+    os.environ[RASTER_THREADS] = "0"
+    try:
+        yield
+    finally:
+        del os.environ[RASTER_THREADS]
 
 
 @cache

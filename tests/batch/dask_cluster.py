@@ -35,7 +35,7 @@ class Cluster:
     def _start(
         self, words: Sequence[str], log: str, before: Sequence[str] = ()
     ) -> subprocess.Popen[bytes]:
-        own = {KILL.MARK: self.mark, "TMPDIR": str(self.temporary), "LP_NUM_THREADS": "1"}
+        own = {KILL.MARK: self.mark, "TMPDIR": str(self.temporary)}
         with (self.folder / log).open("ab") as stream:
             return subprocess.Popen(
                 [*before, sys.executable, "-m", "dask", *words],

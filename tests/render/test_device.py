@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import os
+import subprocess
+import sys
 import threading
+from pathlib import Path
 
 import pytest
 from render.synthetic import pipeline, sphere
@@ -56,3 +60,30 @@ def test_what_was_released_by_name_is_not_released_again(gl: Device):
     del texture
     gl.let_go()
     assert not gl.context.objects
+
+
+THREADS = """
+import os
+from pathlib import Path
+from scanrender.render.device import device
+before = dict(os.environ)
+found = device()
+assert dict(os.environ) == before
+names = [task.read_text() for task in Path("/proc/self/task").glob("*/comm")]
+print(found.is_software, sum(name.startswith("llvmpipe") for name in names))
+"""
+
+
+@pytest.mark.parametrize(("asked", "threads"), [(None, 0), ("2", 2)])
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="threads are counted in /proc")
+def test_the_software_rasteriser_has_no_threads_unless_asked_for(asked: str | None, threads: int):
+    """They write into freed memory now and then (docs/decisions/0034)."""
+    environment = {k: v for k, v in os.environ.items() if k != "LP_NUM_THREADS"}
+    if asked is not None:
+        environment["LP_NUM_THREADS"] = asked
+    said = subprocess.run(
+        [sys.executable, "-c", THREADS], env=environment, capture_output=True, text=True, check=True
+    ).stdout.split()
+    if said[0] == "False":
+        pytest.skip("the GL device is no software")
+    assert int(said[1]) == threads
