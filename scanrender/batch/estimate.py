@@ -30,7 +30,8 @@ class Estimate:
 
 @dataclass
 class Pace:
-    """What earlier runs took: seconds for each byte of a scan, milliseconds for each sample."""
+    """What earlier runs took: seconds for each byte of a scan, milliseconds for each sample (of
+    frames that several processes shared, their part of it)."""
 
     prep: list[float] = field(default_factory=list)
     frame: list[float] = field(default_factory=list)
@@ -45,7 +46,8 @@ class Pace:
         times = {} if frames is None else frames.notes.get("ms", {})
         if frames is not None and times:
             samples = samples_of(frames.reads["settings"])
-            self.frame.append(statistics.median(times.values()) / samples)
+            shared = statistics.median(times.values()) / frames.notes.get("processes", 1)
+            self.frame.append(shared / samples)
         self.jobs += bool(times) or stage is not None
 
 

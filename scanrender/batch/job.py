@@ -160,7 +160,7 @@ class _Run:
             shown.describe(frames)
         if work.dump and "buffers" not in record.stages:
             record.put("buffers", Stage(work.key("buffers"), work.reads["buffers"]))
-        turntable = Turntable(job, record, work, frames, shown.renderer)
+        turntable = Turntable(job, record, work, frames, shown.renderer, self.log.write)
         try:
             turntable.write(self.progress)
         finally:

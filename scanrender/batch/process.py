@@ -29,12 +29,12 @@ STOP_S = 5.0  # for a worker to remove what it has half-written
 class WorkerProcess:
     """Takes one task at a time. Linux ends it with the thread that starts it (prctl(2))."""
 
-    def __init__(self, sharers: int) -> None:
+    def __init__(self, sharers: int, module: str = "scanrender.batch.worker") -> None:
         """`sharers`: workers among whom this machine's cores are shared."""
         self.stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  as long as its worker
         self.process = subprocess.Popen(
             # -P: as in scan/child.py, nothing is imported from the folder that one stands in.
-            [sys.executable, "-P", "-m", "scanrender.batch.worker"],
+            [sys.executable, "-P", "-m", module],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self.stderr,

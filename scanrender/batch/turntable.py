@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,10 +20,11 @@ import numpy as np
 import numpy.typing as npt
 
 from scanrender.batch.jobs import Job
-from scanrender.batch.record import FileEntry, Record, Stage, read_entry
+from scanrender.batch.record import Record, Stage
 from scanrender.batch.state import SHEET, VIDEO, Work
+from scanrender.batch.turn_crew import TurnCrew, worth
+from scanrender.batch.writing import Writing
 from scanrender.buffers import Frame, buffer_spec
-from scanrender.errors import CrashError
 from scanrender.images import read_colors
 from scanrender.outputs.contact_sheet import Tile, contact_sheet
 from scanrender.outputs.exr import write_exr
@@ -32,12 +32,10 @@ from scanrender.outputs.falsecolour import false_colour_png
 from scanrender.outputs.png import bytes_from_unit, write_bytes_png
 from scanrender.outputs.video import VideoWriter
 from scanrender.render.frame import Renderer
-from scanrender.scan.parallel import workers
 
 Progress = Callable[[str, float], None]
 Bytes = npt.NDArray[np.uint8]
 
-SAVE_EVERY_S = 1.0  # what a killed run has to do again
 KEPT, WAITING = 4, 1  # compression of frames
 
 
@@ -63,6 +61,7 @@ class Turntable:
     work: Work
     frames: Stage
     renderer: Callable[[], Renderer]
+    say: Callable[[str], None] = lambda _: None
     seconds: dict[str, float] = field(default_factory=dict)
 
     def write(self, progress: Progress) -> None:
@@ -77,18 +76,17 @@ class Turntable:
         order = sorted({*work.render, *work.dump, *shown, *tiled})
         tiles: list[Tile] = []
         with contextlib.ExitStack() as stack:
-            writing = stack.enter_context(_Writing(self.record))
+            writing = stack.enter_context(Writing(self.record))
             video = self._video(stack) if shown else None
             encoder = stack.enter_context(ThreadPoolExecutor(1))
-            for done, index in enumerate(order):
-                pixels = self._pixels(index, writing)
+            crew = stack.enter_context(TurnCrew(self._file, self.say))
+            for index, pixels in self._in_order(order, writing, crew, progress):
                 started = time.perf_counter()
                 if video is not None:
                     writing.add(encoder.submit(_encode, video, pixels))
                 if index in tiled:
                     tiles.append(Tile(angle_label(job, index), _small(pixels.result())))
                 self._add_time("write", started)
-                progress("render", (done + 1) / len(order))
         if video is not None:
             self._made("video", [VIDEO])
         if tiles:
@@ -96,18 +94,80 @@ class Turntable:
             self._write_sheet(tiles)
             self._add_time("write", started)
 
-    def _pixels(self, index: int, writing: _Writing) -> Future[Bytes]:
+    def _in_order(
+        self, order: Sequence[int], writing: Writing, crew: TurnCrew, progress: Progress
+    ) -> Iterator[tuple[int, Future[Bytes]]]:
+        """Each frame's pixels, in order, whoever of the crew or here makes them in which."""
+        work = self.work
+        own = [i for i in order if i not in work.render or i in work.dump]
+        shared = [i for i in order if i in work.render and i not in work.dump]
+        here: dict[int, Future[Bytes]] = {}
+        theirs: set[int] = set()
+        count = 0
+        for index in order:
+            while index not in here and index not in theirs:
+                for frame in self._taken_over(crew, writing, shared, wait=not own and not shared):
+                    theirs.add(frame)
+                    count += 1
+                    progress("render", count / len(order))
+                crew.give(shared)
+                if own or shared:
+                    mine = own if not shared or (own and own[0] < shared[0]) else shared
+                    frame = mine.pop(0)
+                    here[frame] = self._pixels(frame, writing)
+                    self._gather(crew, frame, len(shared))
+                    count += 1
+                    progress("render", count / len(order))
+            yield index, here.pop(index) if index in here else self._read(index, writing)
+
+    def _gather(self, crew: TurnCrew, index: int, left: int) -> None:
+        """A crew, once it is known what a frame takes: the first one compiles, too."""
+        times = self.frames.notes.get("ms", {})
+        if crew.size or str(index) not in times or len(times) < 2:
+            return
+        renderer = self.renderer()
+        frame_s = min(times.values()) / 1e3
+        if count := worth(renderer.device, frame_s, left):
+            settings = renderer.pipeline.model_dump(mode="json")
+            crew.start(count, frame_s, self.job.asset, settings)
+            self.frames.notes["processes"] = 1 + count
+
+    def _taken_over(
+        self, crew: TurnCrew, writing: Writing, shared: list[int], wait: bool
+    ) -> list[int]:
+        """Frames that the crew has rendered meanwhile; those that it will not are shared again."""
+        started = time.perf_counter()
+        done, lost = crew.done(wait)
+        self._add_time("render", started)
+        shared[:] = sorted([*shared, *lost])
+        for index, ms in done.items():
+            self.frames.notes.setdefault("ms", {})[str(index)] = ms
+            name = self.job.frame_file(index)
+            writing.write(self.frames, index, lambda name=name: [name])  # type: ignore[misc]
+        return list(done)
+
+    def _read(self, index: int, writing: Writing) -> Future[Bytes]:
+        path, _ = self._file(index)
+        return writing.begin(lambda: _read_png(path))
+
+    def _file(self, index: int) -> tuple[Path, int]:
+        """Where a frame goes and how hard it is compressed: what only waits for its video is gone
+        in a minute, and the cores have better to do."""
+        job = self.job
+        return job.folder / job.frame_file(index), KEPT if job.keeps_frames else WAITING
+
+    def _pixels(self, index: int, writing: Writing) -> Future[Bytes]:
         """Frame `index`, rendered and on its way to its files, or as an earlier run left it."""
         job, work = self.job, self.work
         name = job.frame_file(index)
         dumps = index in work.dump
         if index not in work.render and not dumps:
-            return writing.begin(lambda: _read_png(job.folder / name))
+            return self._read(index, writing)
         renderer = self.renderer()
         names = buffer_names(renderer, job.pipeline.outputs.buffers) if dumps else []
         started = time.perf_counter()
         frame = renderer.render(renderer.view(index), names)
-        _check_device(renderer)
+        renderer.device.check()
         self._add_time("render", started)
         if not dumps:
             times = self.frames.notes.setdefault("ms", {})
@@ -115,9 +175,7 @@ class Turntable:
         started = time.perf_counter()
         pixels = writing.begin(lambda: bytes_from_unit(frame.buffers["display"]))
         if index in work.render:
-            # What only waits for its video is gone in a minute: the cores have better to do.
-            level = KEPT if job.keeps_frames else WAITING
-            path = job.folder / name
+            path, level = self._file(index)
 
             def write() -> list[str]:
                 write_bytes_png(path, pixels.result(), level)
@@ -163,80 +221,12 @@ class Turntable:
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started
 
 
-class _Writing:
-    """Files on their way, a bounded number, noted in the record as they are complete.
-
-    On the way out everything that was begun is finished and noted, also after an error.
-    """
-
-    def __init__(self, record: Record) -> None:
-        self.record = record
-        threads = max(2, workers())
-        self._pool = ThreadPoolExecutor(threads)
-        self._most = 2 * threads
-        self._waiting: deque[Future[Any]] = deque()
-        self._saved = time.monotonic()
-
-    def __enter__(self) -> _Writing:
-        return self
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        try:
-            while self._waiting:
-                try:
-                    self._finish(self._waiting.popleft())
-                except Exception:
-                    if kind is None:  # otherwise the first error is the one to tell
-                        raise
-        finally:
-            self._pool.shutdown()
-            self.record.save()
-
-    def begin(self, make: Callable[[], Bytes]) -> Future[Bytes]:
-        """Pixels that others wait for: begun before those, so that nobody waits for a thread."""
-        return self._pool.submit(make)
-
-    def write(self, stage: Stage, part: int, make: Callable[[], list[str]]) -> None:
-        """Call `make`, which writes files and returns their names, in a thread."""
-        folder = self.record.folder
-
-        def written() -> tuple[Stage, dict[str, FileEntry]]:
-            return stage, {name: read_entry(folder / name, part) for name in make()}
-
-        self.add(self._pool.submit(written))
-
-    def add(self, future: Future[Any]) -> None:
-        self._waiting.append(future)
-        while len(self._waiting) > self._most or (self._waiting and self._waiting[0].done()):
-            self._finish(self._waiting.popleft())
-        if time.monotonic() - self._saved > SAVE_EVERY_S:
-            self.record.save()
-            self._saved = time.monotonic()
-
-    def _finish(self, future: Future[Any]) -> None:
-        result = future.result()
-        if result is not None:
-            stage, entries = result
-            stage.files.update(entries)
-            self.record.changed = True
-
-
 def _read_png(path: Path) -> Bytes:
     return np.ascontiguousarray(read_colors(path), np.uint8)
 
 
 def _encode(video: VideoWriter, pixels: Future[Bytes]) -> None:
     video.write(pixels.result())
-
-
-def _check_device(renderer: Renderer) -> None:
-    """A context that was lost goes on giving pictures: black ones. Raises CrashError."""
-    error = renderer.device.context.error
-    if error != "GL_NO_ERROR":
-        raise CrashError(
-            f"the GL driver ({renderer.device.renderer}) failed: {error}",
-            fix="run it again; if it persists, update the driver or use a smaller picture",
-        )
 
 
 def write_buffers(

@@ -63,17 +63,21 @@ def bench_batch(cases: Sequence[str], out: Path, say: Say) -> list[Row]:
 
 
 def _turn(out: Path, say: Say) -> Row:
-    """A job from a prepared head to video, sheet and buffers; then its frames alone."""
+    """A job from a prepared head to video, sheet and buffers, by one process and by as many as
+    there are cores; then its frames alone."""
     asset = own_head(out, say)
-    folder = _fresh(out / "turn")
     words = ["--set", f"turntable.frames={TURN_FRAMES}"]
-    whole = _run(["turntable", asset, *words], folder)
+    command = ["turntable", asset, *words]
+    shared = _run(command, _fresh(out / "turn_shared"))
+    whole = _run(command, _fresh(out / "turn"), {THREADS: "1"})
     alone = _frames_alone(asset, ["stages=[render]", words[1]])
     return {
         "frames": TURN_FRAMES,
         "job_s": whole,
+        "job_shared_s": shared,
         "frames_alone_s": alone,
         "share": alone / whole,
+        "shared_gain": whole / shared,
         "limits": {"share": (">=", 0.9)},
     }
 
@@ -220,7 +224,8 @@ def _resident_mib(process: int) -> float:
 LINES = (
     ("case", "case"), ("frames", "frames"),
     ("job_s", "whole job s"), ("frames_alone_s", "frames alone s"),
-    ("share", "rendering alone / whole job"), ("scans", "scans"),
+    ("share", "rendering alone / whole job"), ("job_shared_s", "whole job on all cores s"),
+    ("shared_gain", "one process / all cores"), ("scans", "scans"),
     ("one_worker_s", "one worker on one core s"), ("two_workers_s", "two workers s"),
     ("gain", "one / two"), ("parent_mib", "parent's memory, most, MiB"),
     ("growth_mib", "grown from the first to the third quarter by MiB"), ("jobs", "jobs"),

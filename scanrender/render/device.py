@@ -18,7 +18,7 @@ import moderngl
 import numpy as np
 import numpy.typing as npt
 
-from scanrender.errors import DeviceError
+from scanrender.errors import CrashError, DeviceError
 from scanrender.resources import shader_folder
 
 REQUIRED_GL = 330
@@ -99,6 +99,15 @@ class Device:
 
     def finish(self) -> None:
         self.context.finish()
+
+    def check(self) -> None:
+        """A context that was lost goes on giving pictures: black ones. Raises CrashError."""
+        error = self.context.error
+        if error != "GL_NO_ERROR":
+            raise CrashError(
+                f"the GL driver ({self.renderer}) failed: {error}",
+                fix="run it again; if it persists, update the driver or use a smaller picture",
+            )
 
 
 def bind(program: moderngl.Program, uniforms: Mapping[str, Any]) -> None:

@@ -30,14 +30,22 @@ MAX_WORKERS = 8  # each has its own temporary arrays
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
+def all_cores() -> int:
+    """How many cores there are for this process and those that work beside it."""
+    found = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return max(1, found or 1)
+
+
+def cores() -> int:
+    """How many of them this process may use: what a batch of several workers leaves to each."""
+    with suppress(ValueError):
+        return max(1, min(all_cores(), int(os.environ.get(THREADS, ""))))
+    return all_cores()
+
+
 def workers() -> int:
     """How many processes share the work."""
-    if not hasattr(os, "fork"):
-        return 1
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    with suppress(ValueError):  # what a batch of several workers leaves to each of them
-        cores = min(cores or 1, int(os.environ.get(THREADS, "")))
-    return max(1, min(cores or 1, MAX_WORKERS))
+    return min(cores(), MAX_WORKERS) if hasattr(os, "fork") else 1
 
 
 def fill_rows(

@@ -21,8 +21,8 @@ from scanrender.batch import pool
 from scanrender.batch.jobs import Job, make_jobs
 from scanrender.batch.lock import LOCK_NAME, drop_unheld, locked
 from scanrender.batch.run import Batch, Options, run_jobs
-from scanrender.batch.turntable import _check_device
 from scanrender.errors import CrashError, OutputError
+from scanrender.render.device import Device
 
 linux_only = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 pytestmark = [pytest.mark.gl, linux_only]
@@ -161,11 +161,11 @@ def test_two_workers_make_what_one_makes(assets, tmp_path: Path, expected):
 
 def test_a_device_that_reports_an_error_is_lost():
     context = SimpleNamespace(error="GL_NO_ERROR")
-    renderer: Any = SimpleNamespace(device=SimpleNamespace(context=context, renderer="a GPU"))
-    _check_device(renderer)
+    device: Any = SimpleNamespace(context=context, renderer="a GPU")
+    Device.check(device)
     context.error = "GL_UNKNOWN_ERROR"
     with pytest.raises(CrashError, match="a GPU"):
-        _check_device(renderer)
+        Device.check(device)
 
 
 def test_two_runs_in_one_folder(assets, tmp_path: Path, expected):
