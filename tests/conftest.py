@@ -46,7 +46,8 @@ def cli(tmp_path: Path) -> Cli:
             capture_output=True,
             text=True,
             cwd=tmp_path,
-            env={**os.environ, "NO_COLOR": "1", "COLUMNS": "100"},
+            # A driver that crashes says where: it may not do so again for a thousand runs.
+            env={**os.environ, "NO_COLOR": "1", "COLUMNS": "100", "PYTHONFAULTHANDLER": "1"},
             timeout=300,
             check=False,
         )

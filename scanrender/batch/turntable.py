@@ -97,27 +97,35 @@ class Turntable:
     def _in_order(
         self, order: Sequence[int], writing: Writing, crew: TurnCrew, progress: Progress
     ) -> Iterator[tuple[int, Future[Bytes]]]:
-        """Each frame's pixels, in order, whoever of the crew or here makes them in which."""
+        """Each frame's pixels, in order, whoever of the crew or here makes them in which. What is
+        in a file is read when its turn has come: a turn can be more than memory holds."""
         work = self.work
-        own = [i for i in order if i not in work.render or i in work.dump]
+        own = sorted(work.dump)
         shared = [i for i in order if i in work.render and i not in work.dump]
+        old = set(order) - {*own, *shared}
+        filed = set(old)
         here: dict[int, Future[Bytes]] = {}
-        theirs: set[int] = set()
         count = 0
+
+        def one_more() -> None:
+            nonlocal count
+            count += 1
+            progress("render", count / len(order))
+
         for index in order:
-            while index not in here and index not in theirs:
+            if index in old:
+                one_more()
+            while index not in here and index not in filed:
                 for frame in self._taken_over(crew, writing, shared, wait=not own and not shared):
-                    theirs.add(frame)
-                    count += 1
-                    progress("render", count / len(order))
+                    filed.add(frame)
+                    one_more()
                 crew.give(shared)
                 if own or shared:
                     mine = own if not shared or (own and own[0] < shared[0]) else shared
                     frame = mine.pop(0)
                     here[frame] = self._pixels(frame, writing)
                     self._gather(crew, frame, len(shared))
-                    count += 1
-                    progress("render", count / len(order))
+                    one_more()
             yield index, here.pop(index) if index in here else self._read(index, writing)
 
     def _gather(self, crew: TurnCrew, index: int, left: int) -> None:
@@ -147,6 +155,7 @@ class Turntable:
         return list(done)
 
     def _read(self, index: int, writing: Writing) -> Future[Bytes]:
+        """Frame `index`, as the crew or an earlier run left it."""
         path, _ = self._file(index)
         return writing.begin(lambda: _read_png(path))
 
@@ -157,12 +166,10 @@ class Turntable:
         return job.folder / job.frame_file(index), KEPT if job.keeps_frames else WAITING
 
     def _pixels(self, index: int, writing: Writing) -> Future[Bytes]:
-        """Frame `index`, rendered and on its way to its files, or as an earlier run left it."""
+        """Frame `index`, rendered and on its way to its files."""
         job, work = self.job, self.work
         name = job.frame_file(index)
         dumps = index in work.dump
-        if index not in work.render and not dumps:
-            return self._read(index, writing)
         renderer = self.renderer()
         names = buffer_names(renderer, job.pipeline.outputs.buffers) if dumps else []
         started = time.perf_counter()

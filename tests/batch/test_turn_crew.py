@@ -139,6 +139,37 @@ def test_who_fails_costs_no_frame(gl, asset, tmp_path, monkeypatch, eager, fault
 
 
 @pytest.mark.gl
+def test_a_turn_goes_on_with_a_crew(gl, asset, tmp_path: Path, monkeypatch, eager):
+    """What is there already is read in its turn, not while others are waited for: it can be more
+    than memory holds."""
+    needs_software(gl)
+    expected = alone(asset, tmp_path, monkeypatch)
+    for name in ("turntable.mp4", "frames/frame_0001.png", "frames/frame_0002.png",
+                 "frames/frame_0003.png", "frames/frame_0004.png"):  # fmt: skip
+        (tmp_path / name).unlink()
+    reads, begun = [], []
+    read, done = turntable.Turntable._read, turn_crew.TurnCrew.done
+
+    def counted(self, index, writing):
+        reads.append(index)
+        return read(self, index, writing)
+
+    def waited(self, wait):
+        begun.extend(frame for mate in self._mates for frame in mate.frames)
+        assert not begun or max(reads, default=0) <= max(begun)
+        return done(self, wait)
+
+    monkeypatch.setattr(turntable.Turntable, "_read", counted)
+    monkeypatch.setattr(turn_crew.TurnCrew, "done", waited)
+    shares: list[float] = []
+    run_job(asset, pipeline(TINY), tmp_path,
+            lambda stage, share: shares.append(share) if stage == "render" else None)  # fmt: skip
+    assert begun
+    assert contents(tmp_path) == expected
+    assert shares == pytest.approx([(i + 1) / FRAMES for i in range(FRAMES)])
+
+
+@pytest.mark.gl
 @linux_only
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 def test_the_crew_ends_with_whoever_started_it(gl, asset, tmp_path: Path, number: int):
