@@ -12,6 +12,7 @@ from scanrender.batch.jobs import Job
 from scanrender.batch.memory import samples_of
 from scanrender.batch.run import Todo
 from scanrender.batch.state import Records
+from scanrender.scan.parallel import all_cores
 
 # Bytes: of a pixel of a PNG frame and of H.264, of a texel of all maps, of a buffer's pixel.
 _FRAME_BYTES, _VIDEO_BYTES, _BUFFER_BYTES = 1.5, 0.15, 12.0
@@ -30,12 +31,13 @@ class Estimate:
 
 @dataclass
 class Pace:
-    """What earlier runs took: seconds for each byte of a scan, milliseconds for each sample (of
-    frames that several processes shared, their part of it)."""
+    """What earlier runs took: seconds for each byte of a scan, milliseconds for each sample, and
+    whether idle cores took part in a turn (`turn_crew`)."""
 
     prep: list[float] = field(default_factory=list)
     frame: list[float] = field(default_factory=list)
     jobs: int = 0
+    is_shared: bool = False
 
     def learn(self, job: Job, records: Records) -> None:
         stage = records.prep.stages.get(job.prep_stage) if job.prepares else None
@@ -46,23 +48,25 @@ class Pace:
         times = {} if frames is None else frames.notes.get("ms", {})
         if frames is not None and times:
             samples = samples_of(frames.reads["settings"])
-            shared = statistics.median(times.values()) / frames.notes.get("processes", 1)
-            self.frame.append(shared / samples)
+            self.frame.append(statistics.median(times.values()) / samples)
+            self.is_shared |= frames.notes.get("processes", 1) > 1
         self.jobs += bool(times) or stage is not None
 
 
 def estimate(todo: Sequence[Todo], pace: Pace, out: Path, workers: int) -> Estimate:
     """Workers are taken to share the work evenly, each as quick as the one that was measured."""
     prepared: set[Path] = set()
-    spent = [_seconds(item, pace, prepared) for item in todo]
+    at_work = max(1, min(workers, len(todo)))
+    crew = max(1, all_cores() // at_work) if pace.is_shared else 1
+    spent = [_seconds(item, pace, prepared, crew) for item in todo]
     prepared.clear()
     disk = sum(_disk(item, prepared) for item in todo)
     known = [seconds for seconds in spent if seconds is not None]
-    total = sum(known) / max(1, min(workers, len(todo))) if len(known) == len(spent) else None
+    total = sum(known) / at_work if len(known) == len(spent) else None
     return Estimate(total, pace.jobs, disk, _free(out))
 
 
-def _seconds(item: Todo, pace: Pace, prepared: set[Path]) -> float | None:
+def _seconds(item: Todo, pace: Pace, prepared: set[Path], crew: int) -> float | None:
     total, job = 0.0, item.job
     if "prep" in item.work.reasons and job.asset not in prepared:
         prepared.add(job.asset)
@@ -73,7 +77,7 @@ def _seconds(item: Todo, pace: Pace, prepared: set[Path]) -> float | None:
     if frames:
         if not pace.frame:
             return None
-        total += frames * statistics.median(pace.frame) * samples_of(job.recipe.shot) / 1e3
+        total += frames * statistics.median(pace.frame) * samples_of(job.recipe.shot) / 1e3 / crew
     return total
 
 

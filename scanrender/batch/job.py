@@ -181,8 +181,7 @@ class _Run:
 
         self.progress("load", 0.0)
         gl = device()
-        driver = f"{gl.renderer} | {gl.version}"
-        trust = Trust(self.verify, reading=True, gl=driver)
+        trust = Trust(self.verify, reading=True, gl=gl.driver)
         work = look(self.job, records, trust)
         if "plan" in work.reasons:
             started = time.perf_counter()

@@ -20,7 +20,7 @@ from scanrender.batch.log import LOG_NAME
 from scanrender.errors import CrashError
 from scanrender.files import SCRATCH_PREFIX, clean_stale
 from scanrender.scan.child import PARENT
-from scanrender.scan.parallel import THREADS
+from scanrender.scan.parallel import THREADS, all_cores
 
 START_S = 120.0  # until the first sign of life: libraries load, from a busy disk perhaps
 STOP_S = 5.0  # for a worker to remove what it has half-written
@@ -123,9 +123,7 @@ def _environment(sharers: int) -> dict[str, str]:
     own = {"PYTHONPATH": os.pathsep.join(paths), PARENT: str(os.getpid())}
     if sharers == 1:
         return {**os.environ, **own}
-    affinity = getattr(os, "sched_getaffinity", None)
-    cores = len(affinity(0)) if affinity else os.cpu_count() or 1
-    share = str(max(1, cores // sharers))
+    share = str(max(1, all_cores() // sharers))
     shares = {"OMP_NUM_THREADS": share, THREADS: share}
     return {**shares, "OPENBLAS_NUM_THREADS": "1", **os.environ, **own}
 

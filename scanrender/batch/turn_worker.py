@@ -19,6 +19,7 @@ from typing import IO
 
 from scanrender.asset import load_asset
 from scanrender.batch.keys import RENDERED_MAPS
+from scanrender.errors import CrashError
 from scanrender.outputs.png import bytes_from_unit, write_bytes_png
 from scanrender.render.device import device
 from scanrender.render.frame import Renderer
@@ -49,6 +50,8 @@ def _serve(lines: IO[str], protocol: IO[str]) -> None:
     turn = json.loads(lines.readline())
     asset = load_asset(Path(turn["asset"]), RENDERED_MAPS)
     renderer = Renderer(device(), asset, Pipeline.model_validate(turn["pipeline"]))
+    if renderer.device.driver != turn["driver"]:
+        raise CrashError(f"the GL driver is another one here: {renderer.device.driver}")
     for line in lines:
         task = json.loads(line)
         started = time.perf_counter()

@@ -37,6 +37,8 @@ Progress = Callable[[str, float], None]
 Bytes = npt.NDArray[np.uint8]
 
 KEPT, WAITING = 4, 1  # compression of frames
+# Frames that are held while an earlier one is waited for.
+LEAST_AHEAD, AHEAD_BYTES = 4, 512 << 20
 
 
 def buffer_names(renderer: Renderer, asked: Sequence[str]) -> list[str]:
@@ -63,6 +65,7 @@ class Turntable:
     renderer: Callable[[], Renderer]
     say: Callable[[str], None] = lambda _: None
     seconds: dict[str, float] = field(default_factory=dict)
+    _here: dict[int, Future[Bytes]] = field(default_factory=dict)  # rendered before their turn
 
     def write(self, progress: Progress) -> None:
         """Each file appears complete or not at all, and is in the record once it is there.
@@ -80,12 +83,17 @@ class Turntable:
             video = self._video(stack) if shown else None
             encoder = stack.enter_context(ThreadPoolExecutor(1))
             crew = stack.enter_context(TurnCrew(self._file, self.say))
-            for index, pixels in self._in_order(order, writing, crew, progress):
+            if work.render:
+                self.frames.notes["processes"] = 1
+            for index in self._in_order(order, writing, crew, progress):
                 started = time.perf_counter()
-                if video is not None:
-                    writing.add(encoder.submit(_encode, video, pixels))
-                if index in tiled:
-                    tiles.append(Tile(angle_label(job, index), _small(pixels.result())))
+                pixels = self._here.pop(index, None)
+                if index in shown or index in tiled:
+                    pixels = pixels or self._read(index, writing)
+                    if video is not None:
+                        writing.add(encoder.submit(_encode, video, pixels))
+                    if index in tiled:
+                        tiles.append(Tile(angle_label(job, index), _small(pixels.result())))
                 self._add_time("write", started)
         if video is not None:
             self._made("video", [VIDEO])
@@ -96,49 +104,49 @@ class Turntable:
 
     def _in_order(
         self, order: Sequence[int], writing: Writing, crew: TurnCrew, progress: Progress
-    ) -> Iterator[tuple[int, Future[Bytes]]]:
-        """Each frame's pixels, in order, whoever of the crew or here makes them in which. What is
-        in a file is read when its turn has come: a turn can be more than memory holds."""
-        work = self.work
+    ) -> Iterator[int]:
+        """Indices in order, each when its frame is in `self._here` or in its file, whoever of the
+        crew or here renders them in which order.
+
+        Each is in one place at a time: to be rendered here alone (`own`) or by whoever comes first
+        (`shared`), given to the crew, in `self._here`, or in a file (`filed`).
+        """
+        work, camera = self.work, self.job.pipeline.camera
         own = sorted(work.dump)
         shared = [i for i in order if i in work.render and i not in work.dump]
         old = set(order) - {*own, *shared}
         filed = set(old)
-        here: dict[int, Future[Bytes]] = {}
+        ahead = max(LEAST_AHEAD, AHEAD_BYTES // (3 * camera.width_px * camera.height_px))
         count = 0
-
-        def one_more() -> None:
-            nonlocal count
-            count += 1
-            progress("render", count / len(order))
-
         for index in order:
-            if index in old:
-                one_more()
-            while index not in here and index not in filed:
-                for frame in self._taken_over(crew, writing, shared, wait=not own and not shared):
+            count += index in old
+            while index not in self._here and index not in filed:
+                waits = not (own or shared) or len(self._here) >= ahead
+                for frame in self._taken_over(crew, writing, shared, waits):
                     filed.add(frame)
-                    one_more()
+                    count += 1
                 crew.give(shared)
-                if own or shared:
+                if (own or shared) and not (waits and crew.is_busy):
                     mine = own if not shared or (own and own[0] < shared[0]) else shared
                     frame = mine.pop(0)
-                    here[frame] = self._pixels(frame, writing)
+                    self._here[frame] = self._pixels(frame, writing)
                     self._gather(crew, frame, len(shared))
-                    one_more()
-            yield index, here.pop(index) if index in here else self._read(index, writing)
+                    count += 1
+                progress("render", count / len(order))
+            if index in old:
+                progress("render", count / len(order))
+            yield index
 
     def _gather(self, crew: TurnCrew, index: int, left: int) -> None:
         """A crew, once it is known what a frame takes: the first one compiles, too."""
         times = self.frames.notes.get("ms", {})
-        if crew.size or str(index) not in times or len(times) < 2:
+        if crew.was_started or str(index) not in times or len(times) < 2:
             return
         renderer = self.renderer()
         frame_s = min(times.values()) / 1e3
         if count := worth(renderer.device, frame_s, left):
-            settings = renderer.pipeline.model_dump(mode="json")
-            crew.start(count, frame_s, self.job.asset, settings)
-            self.frames.notes["processes"] = 1 + count
+            crew.start(count, frame_s, self.job.asset, renderer)
+            self.frames.notes["processes"] = 1 + crew.size
 
     def _taken_over(
         self, crew: TurnCrew, writing: Writing, shared: list[int], wait: bool

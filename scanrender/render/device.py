@@ -38,6 +38,7 @@ class Device:
         self.renderer = str(context.info["GL_RENDERER"])
         self.version = str(context.info["GL_VERSION"])
         self.vendor = str(context.info["GL_VENDOR"])
+        self.driver = f"{self.renderer} | {self.version}"
         self.most_px = int(context.info["GL_MAX_TEXTURE_SIZE"])  # a side of a picture
         self._programs: dict[tuple[str, str, tuple[str, ...]], moderngl.Program] = {}
         self._triangles: dict[int, moderngl.VertexArray] = {}
@@ -161,20 +162,21 @@ def device() -> Device:
 
 @contextlib.contextmanager
 def _without_raster_threads() -> Iterator[None]:
-    """llvmpipe draws in the thread that asks, unless the user's environment has LP_NUM_THREADS.
+    """llvmpipe draws in the thread that asks, unless LP_NUM_THREADS says otherwise.
 
     Its own threads write into freed memory now and then: `lp_fence_signalled` reads a fence's count
     without its lock, so that the fence can be freed while a thread is still unlocking it
     (docs/decisions/0034).
     """
-    if RASTER_THREADS in os.environ:
-        yield
-        return
-    os.environ[RASTER_THREADS] = "0"
+    asked = os.environ.get(RASTER_THREADS)
+    os.environ[RASTER_THREADS] = asked or "0"
     try:
         yield
     finally:
-        del os.environ[RASTER_THREADS]
+        if asked is None:
+            del os.environ[RASTER_THREADS]
+        else:
+            os.environ[RASTER_THREADS] = asked
 
 
 @cache

@@ -52,6 +52,7 @@ class Renderer:
         self.device = device
         device.let_go()  # the maps of the renderer before this one take as much as its own will
         _check_size(pipeline, device.most_px)
+        self.asked = pipeline  # for another renderer of these frames: a plan of a plan is another
         self.pipeline, self.decisions = plan(pipeline, asset.maps)
         scattering = scattering_of(self.pipeline)
         self.pipeline = with_taps_that_meet(

@@ -17,6 +17,7 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
@@ -26,13 +27,18 @@ Array = npt.NDArray[Any]
 Shape = tuple[tuple[int, ...], Any]  # of one row, and the dtype
 T = TypeVar("T")
 THREADS = "SCANRENDER_THREADS"  # environment variable: cores that this process may use
+CGROUP_CPU = Path("/sys/fs/cgroup/cpu.max")
 MAX_WORKERS = 8  # each has its own temporary arrays
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 def all_cores() -> int:
-    """How many cores there are for this process and those that work beside it."""
+    """How many cores there are for this process and those that work beside it: of the machine, or
+    as many as its container has the time of."""
     found = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    with suppress(OSError, ValueError):  # "max 100000", or "150000 100000": microseconds
+        quota, period = CGROUP_CPU.read_text(encoding="ascii").split()
+        found = min(found or 1, math.ceil(int(quota) / int(period)))
     return max(1, found or 1)
 
 

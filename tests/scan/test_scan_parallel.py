@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -77,3 +78,23 @@ def test_edges_are_those_of_np_unique():
     np.testing.assert_array_equal(edges.pairs, pairs)
     np.testing.assert_array_equal(edges.half, half.reshape(-1))
     np.testing.assert_array_equal(edges.count, count)
+
+
+@pytest.mark.parametrize(
+    ("quota", "cores"),
+    [("max 100000", 8), ("200000 100000", 2), ("150000 100000", 2), ("10000 100000", 1),
+     ("6400000 100000", 8), ("", 8), ("what", 8), (None, 8)],
+)  # fmt: skip
+def test_a_container_has_the_cores_that_it_has_the_time_of(
+    quota: str | None, cores: int, tmp_path: Path, monkeypatch
+):
+    file = tmp_path / "cpu.max"
+    if quota is not None:
+        file.write_text(f"{quota}\n")
+    monkeypatch.setattr(parallel, "CGROUP_CPU", file)
+    monkeypatch.setattr(parallel.os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
+    monkeypatch.delenv(parallel.THREADS, raising=False)
+    assert parallel.all_cores() == parallel.cores() == cores
+    monkeypatch.setenv(parallel.THREADS, "3")
+    assert parallel.all_cores() == cores
+    assert parallel.cores() == min(cores, 3)
