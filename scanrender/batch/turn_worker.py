@@ -19,7 +19,7 @@ from typing import IO
 
 from scanrender.asset import load_asset
 from scanrender.batch.keys import RENDERED_MAPS
-from scanrender.errors import CrashError
+from scanrender.errors import CrashError, ScanrenderError
 from scanrender.outputs.png import bytes_from_unit, write_bytes_png
 from scanrender.render.device import device
 from scanrender.render.frame import Renderer
@@ -36,8 +36,10 @@ def main() -> int:
     os.dup2(2, 1)
     try:
         _serve(sys.stdin, protocol)
-    except Exception as error:  # noqa: BLE001  whatever it is, the parent renders the frame itself
-        protocol.write(json.dumps({"error": f"{type(error).__name__}: {error}"}) + "\n")
+    except (ScanrenderError, MemoryError) as error:
+        # Of anything else the traceback goes to standard error, whose end the parent tells.
+        what = str(error).replace("\n", " ") or "memory ran out"
+        protocol.write(json.dumps({"error": what}) + "\n")
         return 1
     return 0
 

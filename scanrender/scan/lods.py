@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
+from scanrender.errors import ScanrenderError
 from scanrender.scan.collapse import collapsed
 from scanrender.scan.flatten import signed_areas
 from scanrender.scan.lost import sample_hits
@@ -34,6 +35,8 @@ SWEEPS = (0,) * 10 + (None,) * 6 + (1,) * 10 + (None,) * 6 + (3,) * 40 + (None,)
 MOST_MOVED = 100
 SLIDE_SAMPLES = 10_000
 FIELDS = ("normals", "tangents", "uv")
+# What is raised of a mesh that cannot be taken, here or in a library; anything else is a bug.
+UNSOUND = (ScanrenderError, ValueError, ArithmeticError, LookupError, RuntimeError)
 
 
 def lods_task(
@@ -53,7 +56,7 @@ def lods_task(
     for number, target in enumerate(params["targets"], 1):
         try:
             level, problem = coarser(first, faces, int(target))
-        except Exception as error:  # noqa: BLE001  the other levels may be sound
+        except UNSOUND as error:  # the other levels may be sound
             problem = f"{type(error).__name__}: {error}"
         if problem is None:
             result.update({f"{number}_{key}": value for key, value in level.items()})

@@ -60,7 +60,19 @@ FAULTS = {
     ),
     "prints what is no answer": "print('hello', flush=True); told(9)",
     "says an error": "told(1); print(json.dumps({'error': 'memory ran out'}), flush=True)",
+    "has a bug": (
+        "def bad(*_):\n    told(1)\n    raise KeyError('a bug')\n"
+        "turn_worker._serve = bad\nsys.exit(turn_worker.main())"
+    ),
     "hangs": "told(1); time.sleep(600)",
+}
+
+SAID = {
+    "dies at once": "exit code 3",
+    "crashes with a frame": "SIGSEGV",
+    "says an error": "memory ran out",
+    "has a bug": "KeyError: 'a bug'",
+    "hangs": "no sign of life",
 }
 
 
@@ -210,6 +222,7 @@ def test_who_fails_costs_no_frame(gl, asset, tmp_path, monkeypatch, eager, fault
     assert contents(tmp_path / "shared") == expected
     said = (tmp_path / "shared" / "log.txt").read_text()
     assert said.count("a process that shared the frames failed") >= 1
+    assert SAID.get(fault, "") in said
     assert list((tmp_path / "shared").rglob(".*")) == []
 
 

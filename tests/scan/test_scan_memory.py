@@ -10,7 +10,6 @@ import pytest
 from scan_shapes import sphere, write_ply
 
 from scanrender.errors import CrashError
-from scanrender.scan import child
 from scanrender.scan.memory import OUT_OF_MEMORY
 from scanrender.scan.prepare import prepare
 from scanrender.settings.prep import PrepSettings
@@ -71,21 +70,13 @@ def test_a_crash_under_a_stated_limit_may_be_a_failed_allocation():
 
 
 @pytest.mark.parametrize(("mib", "fix"), [(4000, OUT_OF_MEMORY), (None, None)])
-def test_so_may_that_of_a_preparation_with_memory_mib(mib, fix, tmp_path, monkeypatch):
+def test_so_may_that_of_a_preparation_with_memory_mib(mib, fix, tmp_path, children):
     positions, faces, _ = sphere(100.0, 6, 12)
     scan = write_ply(tmp_path / "a.ply", positions, faces)
-    started = []
-    popen = subprocess.Popen
-
-    def remember(*arguments, **keywords):
-        started.append(popen(*arguments, **keywords))
-        return started[-1]
-
-    monkeypatch.setattr(child.subprocess, "Popen", remember)
 
     def crash(stage, _):
         if stage == "ingest":
-            started[0].send_signal(signal.SIGSEGV)
+            children[0].send_signal(signal.SIGSEGV)
 
     settings = PrepSettings(memory_mib=mib)
     with pytest.raises(CrashError, match=r"crashed \(SIGSEGV\)") as caught:

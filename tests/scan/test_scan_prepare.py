@@ -210,23 +210,13 @@ def test_a_hanging_child_is_stopped():
     assert time.monotonic() - start < 15.0
 
 
-def test_killing_the_preparation_leaves_no_folder(tmp_path, monkeypatch):
-    from scanrender.scan import child
-
+def test_killing_the_preparation_leaves_no_folder(tmp_path, children):
     positions, faces, _ = sphere(100.0, 12, 24)
     scan = write_ply(tmp_path / "a.ply", positions, faces)
-    started = []
-    popen = subprocess.Popen
-
-    def remember(*arguments, **keywords):
-        started.append(popen(*arguments, **keywords))
-        return started[-1]
-
-    monkeypatch.setattr(child.subprocess, "Popen", remember)
 
     def kill(stage, fraction):
         if stage == "clean":
-            os.kill(started[0].pid, signal.SIGKILL)
+            os.kill(children[0].pid, signal.SIGKILL)
 
     with pytest.raises(StageError):
         prepare(scan, ScanSettings(), SMALL, tmp_path / "out", progress=kill)
